@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks import neck_skin, report, subjects
 from benchmarks.documents import Figures, Section, Table
-from solver.kinds.scene import Recording
+from solver.kinds.scene_recording import Recording
 from solver.neck.anatomy import JOINTS, Neck, NeckPose
 from solver.neck.body import DOFS, GRAVITY, Body
 from solver.neck.bodyparts3d import read_neck

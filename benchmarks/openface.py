@@ -22,7 +22,7 @@ from benchmarks import played_person, report
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.played_person import PlayedPerson
 from solver.animation import shape_weights
-from solver.kinds.scene import Recording
+from solver.kinds.scene_recording import Recording
 from solver.scans.openface import INTENSITIES, read_openface
 from solver.surface import Floats
 

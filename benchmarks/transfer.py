@@ -27,7 +27,7 @@ from solver.animation import Gaze, neck, shape_weights, turn_about
 from solver.animation.controls import Controls
 from solver.drawing.render import Pixels
 from solver.jobs import run_job
-from solver.kinds.scene import Recording
+from solver.kinds.scene_recording import Recording
 from solver.registration.detector import DetectorOptions, FaceDetector
 from solver.rig import Rig
 from solver.rig.frames import FRAMES, read_chunks

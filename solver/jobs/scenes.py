@@ -20,7 +20,7 @@ from PIL import Image
 from solver.animation import PosedFrame
 from solver.errors import SolveError
 from solver.jobs import Task, hash_files
-from solver.kinds.scene import FatEntry
+from solver.kinds.scene_edits import FatEntry
 from solver.neck.anatomy import BODIES
 from solver.neck.skin import two_bones
 from solver.progress import ProgressCallback, Step, silent

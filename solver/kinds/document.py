@@ -68,6 +68,7 @@ Place = Annotated[
     ),
     Field(description="a landmark's name, the number of a skin vertex, or a point [x, y, z] in mm"),
 ]
+Time = Annotated[float, Field(ge=0, le=600, description="in seconds")]
 
 
 def find_kind(value: Any) -> str | None:

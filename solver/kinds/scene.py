@@ -13,6 +13,7 @@ from solver.kinds.document import (
     Integral,
     Name,
     Place,
+    Time,
     Vector,
     Whole,
     by_member,
@@ -20,11 +21,13 @@ from solver.kinds.document import (
     find_kind,
     tell_forms,
 )
+from solver.kinds.scene_edits import Edits
+from solver.kinds.scene_neck import NeckEntry
+from solver.kinds.scene_recording import Gain, Recording
 
 MOST_TRACK_KEYS = 10000  # of one track of a scene
 STIFFNESS_PA = 3000.0  # mu of facial soft tissue: a Young's modulus of 7.5 kPa, 8.6 by other laws
 
-Time = Annotated[float, Field(ge=0, le=600, description="in seconds")]
 Turn = Annotated[
     list[Annotated[float, Field(ge=-3600, le=3600)]],
     Field(
@@ -132,73 +135,6 @@ class MotionKey(Document):
     time: Time
     rotation_deg: Turn = Field(default_factory=lambda: [0.0, 0.0, 0.0])
     move_mm: Vector = Field(default_factory=lambda: [0.0, 0.0, 0.0])
-
-
-Gain = Annotated[float, Field(ge=0, le=10)]
-NeutralFrame = Annotated[
-    Annotated[Literal["auto"], Tag("<auto>")]
-    | Annotated[int, Field(ge=0), Integral, Tag("<frame>")],
-    tell_forms(
-        by_type({str: "<auto>", int: "<frame>", float: "<frame>"}),
-        "is not auto or a frame's number",
-    ),
-]
-RecordingGain = Annotated[
-    Annotated[Gain, Tag("<factor>")] | Annotated[Literal["range"], Tag("<range>")],
-    tell_forms(
-        by_type({str: "<range>", int: "<factor>", float: "<factor>"}), "is not range or a number"
-    ),
-]
-
-
-class Recording(Document):
-    """Frames of a recording."""
-
-    asset: str = Field(
-        description="a CSV file of Live Link Face or OpenFace, a video, or the signals of one"
-    )
-    start: Whole = Field(default=0, ge=0, description="first frame")
-    end: Annotated[int, Field(ge=1), Integral] | None = Field(
-        default=None, description="the frame after the last; null: to the end"
-    )
-    fps: float | None = Field(
-        default=None, ge=1, le=1000, description="frames a second, in the place of the file's clock"
-    )
-    face: Annotated[int, Field(ge=0), Integral] | None = Field(
-        default=None,
-        description="whose face is played where there are several: its face_id (OpenFace), or its "
-        "number in a video, 0 being the largest at the middle",
-    )
-    au_scale: float | None = Field(
-        default=None,
-        ge=0.1,
-        le=100,
-        description="the full intensity of an action unit; null: 5 (OpenFace)",
-    )
-    neutral: NeutralFrame = Field(
-        default="auto",
-        description="the frame in which the face is at rest, counted as start is, which is taken "
-        "off; auto: what is low in the take, and nothing off one of Live Link Face",
-    )
-    gain: RecordingGain = Field(
-        default=1.0,
-        description="factor of all weights; range: each shape or action unit by its range in the "
-        "take",
-    )
-    smooth_hz: float | None = Field(
-        default=None,
-        ge=0,
-        le=100,
-        description="faster motion is taken out, without delay; 0: nothing; null: above 6 of a "
-        "video, nothing of others",
-    )
-    camera_pitch_deg: float | None = Field(
-        default=None,
-        ge=-90,
-        le=90,
-        description="how far the camera looked up: the head is turned as it was in the world; "
-        "null: from where it is at rest",
-    )
 
 
 class FrameSpan(Document):
@@ -367,200 +303,7 @@ class Object(Document):
     )
 
 
-# Edits of the anatomy, by maps on the skin and at places.
-
-
-class AssetMap(Document):
-    """A map in a file."""
-
-    asset: str = Field(description="an NPY file with a number for every skin vertex")
-
-
-class RegionMap(Document):
-    """A map of whole regions."""
-
-    regions: list[str] = Field(
-        min_length=1, max_length=64, description="regions of the template, such as cheeks"
-    )
-
-
-class SpotMap(Document):
-    """A map of soft round spots."""
-
-    spots: list[Place] = Field(min_length=1, max_length=64, description="their centres")
-    radius_mm: float = Field(ge=0.001, le=200)
-
-
-SkinMap = Annotated[
-    Annotated[AssetMap, Tag("<asset>")]
-    | Annotated[RegionMap, Tag("<regions>")]
-    | Annotated[SpotMap, Tag("<spots>")],
-    tell_forms(
-        by_member("asset", "regions", "spots"),
-        "is not null or an object with asset, regions or spots",
-    ),
-]
-Everywhere = Field(
-    default=None,
-    description="where on the skin, from 0 (not at all) to 1 (wholly); null is everywhere",
-)
-
-
-class FatEntry(Document):
-    """Fatter or slimmer: in the face's fat compartments, or where a map says."""
-
-    kind: Literal["fat"]
-    f_min: float = Field(ge=0.6, le=1.5, description="by which muscle grows in length")
-    f_max: float = Field(ge=0.6, le=1.5, description="by which passive flesh grows in length")
-    softening: float = Field(
-        default=3.0, ge=0, le=10, description="flesh that grows by f gets softer by f to this power"
-    )
-    sex: Literal["female", "male", None] = Field(
-        default=None, description="whose compartments change; null: the mean of both"
-    )
-    map: SkinMap | None = Field(
-        default=None,
-        description="where on the skin, from 0 (not at all) to 1 (wholly); null is the fat "
-        "compartments of the face",
-    )
-
-
-class Stop(Document):
-    """A point of a needle's path."""
-
-    at: Place
-    depth_mm: float = Field(default=0.0, ge=0, le=50, description="under the skin")
-
-
-class FillerEntry(Document):
-    """Filler along the path of a needle."""
-
-    kind: Literal["filler"]
-    path: list[Stop] = Field(min_length=1, max_length=64)
-    ml: float = Field(ge=0.001, le=100)
-    radius_mm: float = Field(
-        default=2.5, ge=0.001, le=50, description="how far it spreads from the path"
-    )
-
-
-class BoneEntry(Document):
-    """A part of a bone, moved."""
-
-    kind: Literal["bone"]
-    bone: Literal["cranium", "mandible"]
-    at: Place
-    radius_mm: float = Field(ge=0.001, le=200)
-    move_mm: Vector
-
-
-class FactorEntry(Document):
-    """A property of the flesh, scaled."""
-
-    factor: float = Field(ge=0.01, le=100, description="of the flesh's own, where the map is 1")
-    map: SkinMap | None = Everywhere
-
-
-class StiffnessEntry(FactorEntry):
-    """Stiffer or softer."""
-
-    kind: Literal["stiffness"]
-
-
-class DensityEntry(FactorEntry):
-    """Heavier or lighter."""
-
-    kind: Literal["density"]
-
-
-class ParalysisEntry(Document):
-    """Muscles, or a side, that contract less."""
-
-    kind: Literal["paralysis"]
-    muscles: Annotated[list[str], Field(min_length=1, max_length=256)] | None = Field(
-        default=None, description="their names; null: all of them"
-    )
-    side: Literal["left", "right", None] = Field(
-        default=None, description="the subject's own; null: both"
-    )
-    strength: float = Field(default=0.0, ge=0, le=1, description="what is left of the muscles")
-
-
-Edit = Annotated[
-    Annotated[FatEntry, Tag("<fat>")]
-    | Annotated[FillerEntry, Tag("<filler>")]
-    | Annotated[BoneEntry, Tag("<bone>")]
-    | Annotated[StiffnessEntry, Tag("<stiffness>")]
-    | Annotated[DensityEntry, Tag("<density>")]
-    | Annotated[ParalysisEntry, Tag("<paralysis>")],
-    Discriminator(find_kind),
-]
-Edits = Annotated[
-    list[Edit], Field(max_length=32, description="of the anatomy, made one after the other")
-]
-
-
 # Scenes of each kind of job.
-
-
-class HeadPush(Document):
-    """A push on the skull, for a while."""
-
-    time: Time
-    seconds: float = Field(default=0.1, ge=0.001, le=60, description="how long it lasts")
-    at: Place
-    newtons: list[Annotated[float, Field(ge=-500, le=500)]] = Field(
-        min_length=3, max_length=3, description="to the torso's left, up, and forward"
-    )
-
-
-class NeckEntry(Document):
-    """A neck that carries the head: seven vertebrae and the skull on a torso that stands still.
-
-    The turns of ``head``, of a take or a recording are its goal; moves of the head are out of its
-    reach.
-    """
-
-    asset: str | None = Field(
-        default=None, description="an OpenSim model of a neck; null: the built-in neck"
-    )
-    muscles: bool = Field(
-        default=True,
-        description="whether muscles move the vertebrae, as controlled; false: joints share the "
-        "head's turn, which is followed as it is",
-    )
-    skin: bool = Field(
-        default=True,
-        description="whether the skin of the neck follows the vertebrae, the rim still; false: it "
-        "turns with the head, also where a skin ends in no neck",
-    )
-    coupling: bool = Field(
-        default=True,
-        description="whether the flesh under the chin is drawn by the neck; false: where it ends "
-        "it stays with the head",
-    )
-    pushes: list[HeadPush] = Field(
-        default=[],
-        max_length=32,
-        description="forces on the head, which muscles withstand; the flesh feels the motion alone",
-    )
-    voluntary_hz: float = Field(
-        default=25.0, ge=5, le=200, description="rate of the voluntary layer, which plans ahead"
-    )
-    reflex_hz: float = Field(
-        default=4000.0, ge=1000, le=20_000, description="rate of the reflexes, and time steps"
-    )
-    reflex_strain: float = Field(
-        default=10.0, ge=0, le=100, description="activation a strain of 1 beyond what was planned"
-    )
-    reflex_strain_rate: float = Field(
-        default=2.0, ge=0, le=100, description="activation a strain rate of 1/s beyond it"
-    )
-    reflex_delay_ms: float = Field(
-        default=0.0, ge=0, le=100, description="of the reflexes: tens of ms in people"
-    )
-    cocontraction: float = Field(
-        default=0.0, ge=0, le=0.5, description="activation of all muscles that stiffens the neck"
-    )
 
 
 class PlayedScene(FleshEntry):

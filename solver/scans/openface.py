@@ -33,7 +33,7 @@ from solver.errors import (
     quote,
     quote_names,
 )
-from solver.kinds.scene import Recording
+from solver.kinds.scene_recording import Recording
 from solver.scans.performance import ARKIT_NAMES, FaceTake
 from solver.scans.signals import (
     SIGNALS,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from solver.errors import InputError
-from solver.kinds.scene import Recording
+from solver.kinds.scene_recording import Recording
 from solver.scans.film import is_film
 from solver.scans.openface import is_openface, read_openface
 from solver.scans.performance import FaceTake, read_live_link, write_signals

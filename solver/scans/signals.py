@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from solver.errors import Finding, InputError, count_words, make_warning
-from solver.kinds.scene import Recording
+from solver.kinds.scene_recording import Recording
 from solver.scans.performance import ARKIT_NAMES, FaceTake
 from solver.surface import Floats
 

@@ -19,6 +19,7 @@ from solver.fitting.drives.fibre_contraction import fibre_activations, nearest_f
 from solver.fitting.face import Face
 from solver.fitting.strips import strip_names
 from solver.kinds import scene as scenes
+from solver.kinds import scene_edits
 from solver.mechanics.boundary import Potential
 from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import IDENTITY, LAWS, MOONEY_RIVLIN
@@ -33,26 +34,26 @@ from solver.tracks.basis import MuscleTracks
 from solver.tracks.springs import TrackedFlesh
 
 
-def edit_of(entry: scenes.Edit, places: Places) -> AnatomyChange:
+def edit_of(entry: scene_edits.Edit, places: Places) -> AnatomyChange:
     """Return an edit that a scene describes; raises as :class:`Places`."""
-    if isinstance(entry, scenes.FatEntry):
+    if isinstance(entry, scene_edits.FatEntry):
         painted = places.map_of(entry.map)
         depth = None
         if painted is None and places.without_compartments is None:
             painted = places.fat_map(gain=entry.f_min + entry.f_max >= 2.0, sex=entry.sex)
             depth = FAT_MAP.depth_mm
         return Fat(entry.f_min, entry.f_max, painted, entry.softening, depth)
-    if isinstance(entry, scenes.FillerEntry):
+    if isinstance(entry, scene_edits.FillerEntry):
         points = np.array([places.point(stop.at) for stop in entry.path])
         depths = np.array([stop.depth_mm for stop in entry.path])
         return Filler(under_skin(places.model, points, depths), entry.ml, entry.radius_mm)
-    if isinstance(entry, scenes.BoneEntry):
+    if isinstance(entry, scene_edits.BoneEntry):
         at = places.point(entry.at)
         move = np.array(entry.move_mm, np.float64)
         return Bone(entry.bone, at, entry.radius_mm, move)
-    if isinstance(entry, scenes.StiffnessEntry):
+    if isinstance(entry, scene_edits.StiffnessEntry):
         return Scaling("stiffness_factor", entry.factor, places.map_of(entry.map))
-    if isinstance(entry, scenes.DensityEntry):
+    if isinstance(entry, scene_edits.DensityEntry):
         return Scaling("density", entry.factor, places.map_of(entry.map))
     muscles = None if entry.muscles is None else tuple(entry.muscles)
     return Paralysis(muscles, entry.side, entry.strength)

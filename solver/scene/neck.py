@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from solver.animation import Drives
 from solver.animation import neck as pivot_of
-from solver.errors import Finding, InputError, make_warning
+from solver.errors import Finding, make_warning
 from solver.fitting.face import HungSkin
-from solver.kinds.scene import Force, GravityEntry, HeadPush, NeckEntry
+from solver.kinds.scene import Force, GravityEntry
+from solver.kinds.scene_neck import HeadPush, NeckEntry
 from solver.model import SubjectModel
 from solver.neck.anatomy import Neck, NeckPose
 from solver.neck.builtin import builtin_neck
@@ -39,9 +40,8 @@ class CarriedHead:
 
     ``drives`` ask for turns of the head, whose moves are out of a neck's reach; there are ``steps``
     of the simulation from frame to frame, in which joints turn steadily. Raises
-    :class:`InputError`: ``neck.skin`` for a skin that ends in no neck, ``neck.pushes`` for pushes
-    on one without muscles, ``neck.osim``, ``neck.extra``, and as :meth:`Places.asset` and
-    :meth:`Places.point`.
+    :class:`InputError`: ``neck.skin`` for a skin that ends in no neck, ``neck.osim`` and
+    ``neck.extra``, and as :meth:`Places.asset` and :meth:`Places.point`.
     """
 
     def __init__(
@@ -67,9 +67,6 @@ class CarriedHead:
         self._options = options_of(entry)
         self._goal = reachable(self.placed.neck, drives.times, asked, self._options)
         goal = _between_frames(self._goal, steps)
-        if entry.pushes and not entry.muscles:
-            reason = "a neck without muscles follows the head as it is, and withstands no push"
-            raise InputError("neck.pushes", f"{reason}: set muscles, or leave pushes out")
         pushes = [push_of(push, places) for push in entry.pushes]
         if entry.muscles:
             gravity = gravity_of(forces)

@@ -21,7 +21,8 @@ from solver.drawing.head import skin_parts
 from solver.edits.changes import spots
 from solver.edits.fat_compartments import Sex, fat_map, missing_landmarks
 from solver.errors import InputError
-from solver.kinds.scene import AssetMap, Ball, Box, Object, RegionMap, Rod, SkinMap
+from solver.kinds.scene import Ball, Box, Object, Rod
+from solver.kinds.scene_edits import AssetMap, RegionMap, SkinMap
 from solver.meshio.raw import read_raw
 from solver.model import SubjectModel
 from solver.registration.landmarks import landmark_vertices

@@ -24,8 +24,6 @@ from scipy.spatial.transform import Rotation, Slerp
 from solver.errors import SolveError
 from solver.rig.frames import SequenceFrame
 from solver.rig.frames.gltf import (
-    METRES,
-    Buffer,
     MorphTargetOptions,
     Solid,
     Tracks,
@@ -34,6 +32,7 @@ from solver.rig.frames.gltf import (
     write_face,
     write_morphed,
 )
+from solver.rig.frames.gltf_buffer import METRES, Buffer
 from solver.rig.frames.joints import Joints
 from solver.rig.frames.read_back import MorphedSkin, between, compare_motion, read_glb
 from solver.rig.frames.skin_basis import Basis, Singles, SkinBasisOptions, normal_shapes, span_skins

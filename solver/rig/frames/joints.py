@@ -14,7 +14,8 @@ import numpy as np
 import pygltflib as gl
 from scipy.spatial.transform import Rotation, Slerp
 
-from solver.rig.frames.gltf import METRES, Buffer, Tracks, steady_side
+from solver.rig.frames.gltf import Tracks, steady_side
+from solver.rig.frames.gltf_buffer import METRES, Buffer
 from solver.rig.frames.skin_basis import Singles
 from solver.surface import Floats, Ints
 

@@ -10,14 +10,8 @@ import numpy as np
 import pygltflib as gl
 
 from solver.anatomy.texture_coordinates import TextureCoordinates
-from solver.rig.frames.gltf import (
-    DEFAULTS,
-    GENERATOR,
-    METRES,
-    Buffer,
-    material_of,
-    textured_material,
-)
+from solver.rig.frames.gltf import DEFAULTS, GENERATOR, material_of, textured_material
+from solver.rig.frames.gltf_buffer import METRES, Buffer
 from solver.rig.frames.read_back import Comparison, accessor_values, split_glb
 from solver.rig.studio.light_rig import LightRig
 from solver.rig.studio.parts import TEXTURED, Part, parts_of

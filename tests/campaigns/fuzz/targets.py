@@ -15,7 +15,7 @@ from service.uploads.schemas import parse_checksum, parse_metadata
 from solver.anatomy.template import Template
 from solver.animation.performance import FittedSequence
 from solver.errors import InputError
-from solver.kinds.scene import Recording
+from solver.kinds.scene_recording import Recording
 from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered
 from solver.photo.facts import read_facts

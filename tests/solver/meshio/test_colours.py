@@ -14,7 +14,7 @@ from PIL import Image
 from solver.errors import InputError
 from solver.meshio.colours import ScanColours, read_colours
 from solver.meshio.raw import read_raw
-from solver.rig.frames.gltf import Buffer
+from solver.rig.frames.gltf_buffer import Buffer
 
 # A quarter of the image each: red, green above; blue, white below.
 QUARTERS = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError
-from solver.kinds.scene import Recording
+from solver.kinds.scene_recording import Recording
 from solver.scans.openface import GAZE, INTENSITIES, POSE, is_openface, read_openface
 from solver.scans.performance import ARKIT_NAMES, FaceTake
 from solver.surface import Floats

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
-from solver.kinds.scene import Recording
+from solver.kinds.scene_recording import Recording
 from solver.registration.detector import EYE_CORNERS, DetectedFace
 from solver.rig.frames.animation import write_video
 from solver.scans import video

@@ -10,7 +10,8 @@ from solver.edits.changes import Bone, Fat, Filler, Paralysis, Scaling
 from solver.edits.fat_compartments import FAT_MAP
 from solver.errors import InputError
 from solver.kinds.document import json_schema
-from solver.kinds.scene import Edit, EditScene
+from solver.kinds.scene import EditScene
+from solver.kinds.scene_edits import Edit
 from solver.scene import edit_of
 from solver.scene.document import read_scene
 from solver.scene.places import Places
