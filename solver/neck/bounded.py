@@ -8,11 +8,10 @@ answer for those that are free up to the first bound, and one that should leave 
 
 from __future__ import annotations
 
-import math
-
 import numba as nb
 import numpy as np
 
+from solver.neck.cholesky import solve_lower
 from solver.surface import Floats
 
 FREE = 0
@@ -125,7 +124,7 @@ def _solve_free(
             count += 1
         else:
             x[i] = low[i] if side[i] == LOW else high[i]
-    L = np.empty((count, count))
+    A = np.empty((count, count))
     b = np.empty(count)
     for r in range(count):
         i = free[r]
@@ -134,15 +133,7 @@ def _solve_free(
             if side[j] != FREE:
                 b[r] -= H[i, j] * x[j]
         for c in range(r + 1):
-            s = H[i, free[c]]
-            for k in range(c):
-                s -= L[r, k] * L[c, k]
-            L[r, c] = math.sqrt(s) if r == c else s / L[c, c]
-        for k in range(r):
-            b[r] -= L[r, k] * b[k]
-        b[r] /= L[r, r]
-    for r in range(count - 1, -1, -1):
-        for k in range(r + 1, count):
-            b[r] -= L[k, r] * b[k]
-        b[r] /= L[r, r]
+            A[r, c] = H[i, free[c]]
+    solve_lower(A, b)
+    for r in range(count):
         x[free[r]] = b[r]

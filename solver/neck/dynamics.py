@@ -24,6 +24,7 @@ import numpy as np
 from solver.errors import SolveError
 from solver.neck.anatomy import Neck
 from solver.neck.body import DOFS, Body
+from solver.neck.cholesky import solve_lower
 from solver.neck.hill import HillOptions, Muscles, all_parts
 from solver.neck.reflex import ReflexOptions, excite
 from solver.surface import Floats, Ints
@@ -192,26 +193,6 @@ def _step(
         v[i] += change[i]
     for k in range(dofs // 3):
         _turn(q[4 * k : 4 * k + 4], v[3 * k : 3 * k + 3], h)
-
-
-@nb.njit(cache=True, error_model="numpy")
-def solve_lower(A: Floats, b: Floats) -> None:
-    """Solve A x = b in place by Cholesky's factors; of ``A`` (n, n) the lower half is read."""
-    n = len(b)
-    for i in range(n):
-        for j in range(i + 1):
-            s = A[i, j]
-            for k in range(j):
-                s -= A[i, k] * A[j, k]
-            A[i, j] = math.sqrt(s) if i == j else s / A[j, j]
-    for i in range(n):
-        for k in range(i):
-            b[i] -= A[i, k] * b[k]
-        b[i] /= A[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            b[i] -= A[k, i] * b[k]
-        b[i] /= A[i, i]
 
 
 @nb.njit(cache=True, error_model="numpy")
