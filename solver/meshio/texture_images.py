@@ -36,11 +36,10 @@ DAMAGED = (
     AttributeError,
     OverflowError,
     MemoryError,
-    ZeroDivisionError,
     struct.error,
     zlib.error,
-    Image.DecompressionBombError,
 )
+UNREADABLE = (*DAMAGED, ZeroDivisionError, Image.DecompressionBombError)
 SIXTEEN_BITS = re.compile("I;16.*|I")  # modes of grey
 
 
@@ -93,7 +92,7 @@ class ImageReader:
                 return _texels(image)
         except InputError:
             raise
-        except DAMAGED as error:
+        except UNREADABLE as error:
             reason = f"no image that can be read: {quote(error)}"
             raise file_error("texture.unreadable", file, reason) from None
 

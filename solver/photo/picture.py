@@ -11,7 +11,6 @@ import io
 import math
 import re
 import struct
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageCms, PngImagePlugin
 
 from solver.errors import InputError, file_error, quote
+from solver.meshio.texture_images import DAMAGED
 
 FORMATS = ("JPEG", "PNG")
 MOST_PIXELS = 64 << 20  # 64 MP, as sensors are counted
@@ -62,21 +62,6 @@ UPRIGHT: Mapping[
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-
-# What damaged and hostile files make Pillow raise.
-DAMAGED = (
-    OSError,
-    EOFError,
-    SyntaxError,
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    OverflowError,
-    MemoryError,
-    struct.error,
-    zlib.error,
-)
 
 JPEG = b"\xff\xd8\xff"
 PNG = b"\x89PNG\r\n\x1a\n"

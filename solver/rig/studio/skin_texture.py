@@ -9,7 +9,7 @@ from PIL import Image
 
 from solver.anatomy.texture_coordinates import TextureCoordinates
 from solver.errors import InputError, file_error, quote
-from solver.meshio.texture_images import DAMAGED, MOST_SIDE, read_sidecar
+from solver.meshio.texture_images import MOST_SIDE, UNREADABLE, read_sidecar
 from solver.registration.texture import MADE_FOR
 
 
@@ -33,7 +33,7 @@ class SkinTexture:
             with Image.open(path, formats=("PNG",)) as image:
                 size = image.size
                 made_for = str(image.info.get(MADE_FOR, coordinates.sha256))
-        except DAMAGED as error:
+        except UNREADABLE as error:
             reason = f"no PNG that can be read: {quote(error)}"
             raise file_error("texture.unreadable", path.name, reason) from None
         if max(size) > MOST_SIDE:
