@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 try:
-    from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
+    from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("USD is an extra: pip install 'myoface[usd]'") from error
 
@@ -34,7 +34,18 @@ from solver.rig.frames.animation_gltf import SEQUENCE_SHAPES, AnimatedSkin
 from solver.rig.frames.gltf import DEFAULTS, worst_error
 from solver.rig.frames.gltf import MorphTargetOptions as Options
 from solver.rig.frames.read_back import MorphedSkin, compare_expressions
-from solver.rig.frames.usd import define_material, extent, free_path, numbers, quaternion, vectors
+from solver.rig.frames.usd import (
+    ROOT,
+    define_material,
+    define_triangles,
+    extent,
+    free_path,
+    give_blend_shapes,
+    give_normals,
+    new_stage,
+    numbers,
+    quaternion,
+)
 from solver.rig.rig import Rig
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.surface import Floats, Surface, vertex_normals
@@ -44,7 +55,6 @@ MEDIA_TYPE = "model/vnd.usd"
 WITH_EVERY_RIG = True  # where the extra is there
 FORMATS = [".usdc", ".usda", ".usd"]
 FRAMES_PER_SECOND = 30.0  # of the time codes, as animation tools expect
-ROOT = Sdf.Path("/Face")
 SKIN = ROOT.AppendChild("Skin")
 HEAD = "head"
 JAW = "head/jaw"
@@ -126,12 +136,7 @@ class _Key(NamedTuple):
 
 def _stage(model: SubjectModel, shapes: Mapping[str, Floats], still_mm: float) -> Usd.Stage:
     """Return a stage with skeleton, skin and bones, at rest."""
-    stage = Usd.Stage.CreateInMemory()
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
-    UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.LinearUnits.millimeters)
-    root = UsdSkel.Root.Define(stage, ROOT)
-    stage.SetDefaultPrim(root.GetPrim())
-    Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
+    stage, _ = new_stage()
     _skeleton(stage, model)
     _skin(stage, model.skin, shapes, still_mm)
     for name, bone in model.bones.items():
@@ -167,34 +172,19 @@ def _skin(stage: Usd.Stage, skin: Surface, shapes: Mapping[str, Floats], still_m
     """Define the skin with a blend shape for each of ``shapes`` (v, 3)."""
     mesh = _mesh(stage, SKIN.name, skin, joint=HEAD)
     normals = vertex_normals(skin)
-    mesh.CreateNormalsAttr(vectors(normals))
-    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    give_normals(mesh, normals)
     _materials(stage, mesh, skin)
-    targets = []
-    for name, vertices in shapes.items():
-        place = free_path(stage, mesh.GetPath(), name)
-        change = vertices - skin.vertices
-        moving = np.flatnonzero((np.abs(change) > still_mm).any(axis=1))
-        turned = vertex_normals(skin.with_vertices(vertices)) - normals
-        shape = UsdSkel.BlendShape.Define(stage, place)
-        shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(moving.astype(np.int32)))
-        shape.CreateOffsetsAttr(vectors(change[moving]))
-        shape.CreateNormalOffsetsAttr(vectors(turned[moving]))
-        targets.append(place)
-    binding = UsdSkel.BindingAPI(mesh)
-    binding.CreateBlendShapesAttr(list(shapes))
-    binding.CreateBlendShapeTargetsRel().SetTargets(targets)
+    changes = {
+        name: (points - skin.vertices, vertex_normals(skin.with_vertices(points)) - normals)
+        for name, points in shapes.items()
+    }
+    give_blend_shapes(stage, mesh, changes, still_mm)
 
 
 def _mesh(stage: Usd.Stage, name: str, surface: Surface, joint: str) -> UsdGeom.Mesh:
     """Define triangles that move rigidly with a joint."""
-    mesh = UsdGeom.Mesh.Define(stage, free_path(stage, ROOT, name))
-    mesh.CreatePointsAttr(vectors(surface.vertices))
-    mesh.CreateFaceVertexCountsAttr([3] * len(surface.faces))
-    mesh.CreateFaceVertexIndicesAttr(numbers(surface.faces))
-    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    mesh.CreateDoubleSidedAttr(True)
-    mesh.CreateExtentAttr(extent(surface.vertices))
+    place = free_path(stage, ROOT, name)
+    mesh = define_triangles(stage, place, surface.vertices, surface.faces)
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateSkeletonRel().SetTargets([ROOT.AppendChild("Skeleton")])
     binding.CreateJointIndicesPrimvar(constant=True, elementSize=1).Set([JOINTS.index(joint)])

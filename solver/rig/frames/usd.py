@@ -2,18 +2,73 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 try:
-    from pxr import Gf, Sdf, Tf, Usd, UsdShade, Vt
+    from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("USD is an extra: pip install 'myoface[usd]'") from error
 
 from solver.rig.frames.gltf import MATERIALS
-from solver.surface import Floats
+from solver.surface import Floats, Ints
+
+ROOT = Sdf.Path("/Face")  # of every file
+
+
+def new_stage() -> tuple[Usd.Stage, UsdSkel.Root]:
+    """Return an empty stage in mm, y up, and its root, which holds a skeleton."""
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.LinearUnits.millimeters)
+    root = UsdSkel.Root.Define(stage, ROOT)
+    stage.SetDefaultPrim(root.GetPrim())
+    Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
+    return stage, root
+
+
+def define_triangles(stage: Usd.Stage, path: Sdf.Path, points: Floats, faces: Ints) -> UsdGeom.Mesh:
+    """Define triangles (f, 3) with corners at ``points`` (n, 3), which are seen from both sides."""
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    mesh.CreatePointsAttr(vectors(points))
+    mesh.CreateFaceVertexCountsAttr([3] * len(faces))
+    mesh.CreateFaceVertexIndicesAttr(numbers(faces))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateDoubleSidedAttr(True)
+    mesh.CreateExtentAttr(extent(points))
+    return mesh
+
+
+def give_normals(mesh: UsdGeom.Mesh, normals: Floats) -> None:
+    """Give a mesh the normals (n, 3) of its points."""
+    mesh.CreateNormalsAttr(vectors(normals))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+
+
+def give_blend_shapes(
+    stage: Usd.Stage,
+    mesh: UsdGeom.Mesh,
+    shapes: Mapping[str, tuple[Floats, Floats]],
+    still_mm: float,
+) -> None:
+    """Give a mesh ``shapes``: by name the changes (n, 3) of its points and of its normals.
+
+    Points that move less than ``still_mm`` are left out.
+    """
+    places = []
+    for name, (change, turned) in shapes.items():
+        moving = np.flatnonzero((np.abs(change) > still_mm).any(axis=1))
+        places.append(free_path(stage, mesh.GetPath(), name))
+        shape = UsdSkel.BlendShape.Define(stage, places[-1])
+        shape.CreatePointIndicesAttr(numbers(moving))
+        shape.CreateOffsetsAttr(vectors(change[moving]))
+        shape.CreateNormalOffsetsAttr(vectors(turned[moving]))
+    binding = UsdSkel.BindingAPI(mesh)
+    binding.CreateBlendShapesAttr(list(shapes))
+    binding.CreateBlendShapeTargetsRel().SetTargets(places)
 
 
 def vectors(points: Floats) -> Any:

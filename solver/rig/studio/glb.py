@@ -16,7 +16,7 @@ from solver.rig.frames.read_back import Comparison, accessor_values, split_glb
 from solver.rig.studio.light_rig import LightRig
 from solver.rig.studio.parts import TEXTURED, Part, parts_of
 from solver.rig.studio.skin_texture import SkinTexture
-from solver.surface import Floats, Ints, vertex_normals
+from solver.surface import Floats, Ints
 
 MOST_JOINTS = 4  # of a vertex, in one attribute of glTF
 
@@ -49,7 +49,6 @@ def write_glb(rig: LightRig, path: Path, texture: SkinTexture | None = None) -> 
         meshes=[meshes.of(part) for part in parts],
         accessors=buffer.accessors,
         bufferViews=buffer.views,
-        buffers=[gl.Buffer(byteLength=len(buffer.content))],
     )
     if texture is not None:
         document.images = [
@@ -57,7 +56,7 @@ def write_glb(rig: LightRig, path: Path, texture: SkinTexture | None = None) -> 
         ]
         document.samplers = [gl.Sampler(magFilter=gl.LINEAR, minFilter=gl.LINEAR_MIPMAP_LINEAR)]
         document.textures = [gl.Texture(source=0, sampler=0)]
-        document.buffers[0].byteLength = len(buffer.content)
+    document.buffers = [gl.Buffer(byteLength=len(buffer.content))]
     document.set_binary_blob(bytes(buffer.content))
     document.save_binary(str(path))
 
@@ -69,18 +68,12 @@ class _Meshes:
         self._buffer = buffer
         self._materials = materials
         self._points = rig.neutral.vertices * METRES
-        self._targets = rig.targets
-        self._normals = vertex_normals(rig.neutral)
-        self._turned = {
-            name: vertex_normals(rig.neutral.with_vertices(rig.neutral.vertices + motion))
-            - self._normals
-            for name, motion in self._targets.items()
-        }
+        self._rig = rig
         self._joints, self._weights = influences(rig.skeleton.weights)
 
     def of(self, part: Part) -> gl.Mesh:
         """Return a part's mesh."""
-        names = part.moving(self._targets, DEFAULTS.still_mm)
+        names = part.moving(self._rig.targets, DEFAULTS.still_mm)
         primitive = gl.Primitive(
             attributes=self._at_rest(part),
             indices=self._buffer.indices(part.faces),
@@ -102,16 +95,16 @@ class _Meshes:
         return gl.Attributes(
             TEXCOORD_0=places,
             POSITION=buffer.dense(self._points[used], gl.VEC3, gl.ARRAY_BUFFER, bounds=True),
-            NORMAL=buffer.dense(self._normals[used], gl.VEC3, gl.ARRAY_BUFFER),
+            NORMAL=buffer.dense(self._rig.normals[used], gl.VEC3, gl.ARRAY_BUFFER),
             JOINTS_0=buffer.joints(self._joints[used]),
             WEIGHTS_0=buffer.dense(self._weights[used], gl.VEC4, gl.ARRAY_BUFFER),
         )
 
     def _target(self, name: str, used: Ints) -> gl.Attributes:
-        motion = self._targets[name][used] * METRES
+        motion = self._rig.targets[name][used] * METRES
         return gl.Attributes(
             POSITION=self._buffer.morph(motion, DEFAULTS.still_mm * METRES, bounds=True),
-            NORMAL=self._buffer.morph(self._turned[name][used], DEFAULTS.still_normal),
+            NORMAL=self._buffer.morph(self._rig.turned[name][used], DEFAULTS.still_normal),
         )
 
 

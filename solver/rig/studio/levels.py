@@ -8,10 +8,11 @@ import igl
 import numpy as np
 import scipy.sparse as sp
 
+from solver.anatomy.embedding import barycentric
 from solver.anatomy.texture_coordinates import NOWHERE, TextureCoordinates
 from solver.rig.studio.light_rig import HalfWay, LightRig
 from solver.rig.studio.parts import parts_of
-from solver.surface import Floats, Ints, Surface, join_surfaces, own_numbers
+from solver.surface import Floats, Surface, join_surfaces, own_numbers
 
 LEAST_FACES = 60  # a part keeps so many: eyeballs stay round
 OPENED = {"jawOpen": 0.6, "mouthFunnel": 0.3}
@@ -72,7 +73,7 @@ def carry_texture(
         used, ours = own_numbers(level.faces[own])
         faces = np.flatnonzero(chart_of == number)
         part = Surface(full.vertices, full.faces[faces])
-        face, shares = _nearest(level.vertices[used], part)
+        face, shares, _ = barycentric(level.vertices[used], part)
         at = coordinates.places[coordinates.corners[faces[face]]].astype(np.float64)
         places.append(np.einsum("nc,ncd->nd", shares, at))
         corners[own] = ours + count
@@ -93,23 +94,11 @@ def distance_mm(rig: LightRig, level: LightRig) -> Floats:
 
 def _places(points: Floats, surface: Surface) -> sp.csr_array:
     """Return the matrix (k, v) of the surface's places nearest to ``points`` (k, 3)."""
-    face, shares = _nearest(points, surface)
+    face, shares, _ = barycentric(points, surface)
     corners = surface.faces[face]
     lines = np.repeat(np.arange(len(points)), 3)
     entries = (shares.ravel(), (lines, corners.ravel()))
     return sp.csr_array(entries, shape=(len(points), len(surface.vertices)))
-
-
-def _nearest(points: Floats, surface: Surface) -> tuple[Ints, Floats]:
-    """Return triangles (k,) and barycentric shares (k, 3) of the places nearest to ``points``."""
-    _, face, nearest = igl.point_mesh_squared_distance(
-        np.ascontiguousarray(points), surface.vertices, surface.faces
-    )
-    corners = surface.faces[face]
-    shares = igl.barycentric_coordinates(
-        nearest, *(np.ascontiguousarray(surface.vertices[corners[:, k]]) for k in range(3))
-    )
-    return np.asarray(face, np.int64), np.asarray(shares)
 
 
 def _columns(vertices: np.ndarray, count: int) -> sp.csr_array:

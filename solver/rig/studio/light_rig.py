@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
@@ -20,7 +20,7 @@ from solver.model import SubjectModel
 from solver.rig.studio.lids import Lids
 from solver.rig.studio.shapes import StudioShapes
 from solver.rig.studio.skeleton import Skeleton
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Surface, vertex_normals
 
 DrivenBy = Literal["shapes", "joints"]
 STILL_MM = 0.2  # a joint that moves skin less, in a shape, stays still: the shape has it
@@ -56,11 +56,25 @@ class LightRig:
     skeleton: Skeleton
     half_ways: tuple[HalfWay, ...] = ()
 
-    @property
+    @cached_property
     def targets(self) -> dict[str, Floats]:
         """The motion (V, 3) of each morph target: the shapes, and then the half ways."""
         shapes = dict(zip(self.names, self.motions, strict=True))
         return shapes | {each.name: each.motion for each in self.half_ways}
+
+    @cached_property
+    def normals(self) -> Floats:
+        """The neutral's normals (V, 3)."""
+        return vertex_normals(self.neutral)
+
+    @cached_property
+    def turned(self) -> dict[str, Floats]:
+        """The change of the normals (V, 3) in each morph target."""
+        neutral = self.neutral
+        return {
+            name: vertex_normals(neutral.with_vertices(neutral.vertices + motion)) - self.normals
+            for name, motion in self.targets.items()
+        }
 
     @classmethod
     def of(cls, model: SubjectModel, shapes: StudioShapes, driven_by: DrivenBy) -> LightRig:

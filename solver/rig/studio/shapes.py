@@ -104,12 +104,12 @@ def solve_studio_shapes(
     names = tuple(name for name in ARKIT_NAMES if name in sculpted)
     made = _by_source(driven_motions(model, basis))
     neutral = model.skin.vertices
-    eyes = _eye_turns(model, sculpted, names)
+    gaze = Gaze(model)
+    eyes = _eye_turns(gaze, neutral, [sculpted[name] for name in names])
     motions = np.zeros((len(names), *neutral.shape))
     jaws = np.zeros((len(names), JAW_FREEDOM))
     off = np.zeros(len(names))
     unsettled = []
-    gaze = Gaze(model)
     lids = Lids.of(model)
     for row, name in enumerate(names):
         under = CORRECTED.get(name, name)
@@ -144,15 +144,13 @@ def _by_source(motions: Mapping[str, Floats]) -> dict[str, Floats]:
     return found
 
 
-def _eye_turns(model: SubjectModel, sculpted: Mapping[str, Floats], names: Sequence[str]) -> Floats:
-    """Return the turns (s, 2, 3) of the eyes in each shape, as the template moves eyeballs."""
-    turns = np.zeros((len(names), 2, 3))
-    gaze = Gaze(model)
-    for row, name in enumerate(names):
+def _eye_turns(gaze: Gaze, neutral: Floats, motions: Sequence[Floats]) -> Floats:
+    """Return the turns (s, 2, 3) of the eyes in each of ``motions`` (V, 3) of a template."""
+    turns = np.zeros((len(motions), 2, 3))
+    for row, motion in enumerate(motions):
         for side, (ids, centre) in enumerate(gaze.balls):
-            motion = sculpted[name][ids]
-            if len(ids) and np.abs(motion).max() > 0.0:
-                before = model.skin.vertices[ids] - centre
-                turn, _ = Rotation.align_vectors(before + motion, before)
+            if len(ids) and np.abs(motion[ids]).max() > 0.0:
+                before = neutral[ids] - centre
+                turn, _ = Rotation.align_vectors(before + motion[ids], before)
                 turns[row, side] = turn.as_rotvec()
     return turns

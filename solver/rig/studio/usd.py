@@ -10,18 +10,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
 from solver.anatomy.texture_coordinates import TextureCoordinates
 from solver.rig.frames.gltf import DEFAULTS
 from solver.rig.frames.read_back import Comparison
-from solver.rig.frames.usd import define_material, extent, free_path, numbers, vectors
+from solver.rig.frames.usd import (
+    ROOT,
+    define_material,
+    define_triangles,
+    extent,
+    give_blend_shapes,
+    give_normals,
+    new_stage,
+    numbers,
+)
 from solver.rig.studio.glb import MOST_JOINTS, influences
 from solver.rig.studio.light_rig import LightRig
 from solver.rig.studio.parts import Part, parts_of
-from solver.surface import Floats, Ints, vertex_normals
-
-ROOT = Sdf.Path("/Face")
+from solver.surface import Floats, Ints
 
 
 def write_usd(
@@ -31,27 +38,20 @@ def write_usd(
 
     With texture ``coordinates``, the skin wears the ``image`` of that name beside the file.
     """
-    stage = Usd.Stage.CreateInMemory()
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
-    UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.LinearUnits.millimeters)
-    root = UsdSkel.Root.Define(stage, ROOT)
-    stage.SetDefaultPrim(root.GetPrim())
-    Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
+    stage, root = new_stage()
     root.CreateExtentAttr(extent(rig.neutral.vertices))
     _skeleton(stage, rig)
-    normals = vertex_normals(rig.neutral)
-    turned = {
-        name: vertex_normals(rig.neutral.with_vertices(rig.neutral.vertices + motion)) - normals
-        for name, motion in rig.targets.items()
-    }
     joints, weights = influences(rig.skeleton.weights)
     UsdGeom.Scope.Define(stage, ROOT.AppendChild("Materials"))
     for part in parts_of(rig.neutral, rig.skeleton, coordinates):
-        mesh = _mesh(stage, part, rig.neutral.vertices, normals)
+        mesh = _mesh(stage, part, rig)
         if part.places is not None:
             _wear(stage, mesh, part.places, image)
         _bind(mesh, joints[part.vertices], weights[part.vertices])
-        _shapes(stage, mesh, part, rig, turned)
+        used = part.vertices
+        moved = part.moving(rig.targets, DEFAULTS.still_mm)
+        changes = {name: (rig.targets[name][used], rig.turned[name][used]) for name in moved}
+        give_blend_shapes(stage, mesh, changes, DEFAULTS.still_mm)
     stage.GetRootLayer().Export(str(path))
 
 
@@ -86,18 +86,11 @@ def _translation(place: Floats) -> Gf.Matrix4d:
     return Gf.Matrix4d().SetTranslate(Gf.Vec3d(*place.tolist()))
 
 
-def _mesh(stage: Usd.Stage, part: Part, points: Floats, normals: Floats) -> UsdGeom.Mesh:
+def _mesh(stage: Usd.Stage, part: Part, rig: LightRig) -> UsdGeom.Mesh:
     """Define a part's triangles with its material."""
-    own = points[part.vertices]
-    mesh = UsdGeom.Mesh.Define(stage, ROOT.AppendChild(part.name))
-    mesh.CreatePointsAttr(vectors(own))
-    mesh.CreateFaceVertexCountsAttr([3] * len(part.faces))
-    mesh.CreateFaceVertexIndicesAttr(numbers(part.faces))
-    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    mesh.CreateDoubleSidedAttr(True)
-    mesh.CreateExtentAttr(extent(own))
-    mesh.CreateNormalsAttr(vectors(normals[part.vertices]))
-    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    own = rig.neutral.vertices[part.vertices]
+    mesh = define_triangles(stage, ROOT.AppendChild(part.name), own, part.faces)
+    give_normals(mesh, rig.normals[part.vertices])
     scope = ROOT.AppendChild("Materials")
     there = UsdShade.Material.Get(stage, scope.AppendChild(part.material))
     material = there if there else define_material(stage, scope, part.material)
@@ -135,26 +128,6 @@ def _bind(mesh: UsdGeom.Mesh, joints: Ints, weights: Floats) -> None:
     binding.CreateJointIndicesPrimvar(**of).Set(numbers(joints))
     shares = Vt.FloatArray.FromNumpy(np.ascontiguousarray(weights.ravel(), np.float32))
     binding.CreateJointWeightsPrimvar(**of).Set(shares)
-
-
-def _shapes(
-    stage: Usd.Stage, mesh: UsdGeom.Mesh, part: Part, rig: LightRig, turned: dict[str, Floats]
-) -> None:
-    """Define the blend shapes that move a part."""
-    still = DEFAULTS.still_mm
-    names = part.moving(rig.targets, still)
-    places = []
-    for name in names:
-        change = rig.targets[name][part.vertices]
-        moving = np.flatnonzero((np.abs(change) > still).any(axis=1))
-        places.append(free_path(stage, mesh.GetPath(), name))
-        shape = UsdSkel.BlendShape.Define(stage, places[-1])
-        shape.CreatePointIndicesAttr(numbers(moving))
-        shape.CreateOffsetsAttr(vectors(change[moving]))
-        shape.CreateNormalOffsetsAttr(vectors(turned[name][part.vertices][moving]))
-    binding = UsdSkel.BindingAPI(mesh)
-    binding.CreateBlendShapesAttr(names)
-    binding.CreateBlendShapeTargetsRel().SetTargets(places)
 
 
 def compare_usd(
