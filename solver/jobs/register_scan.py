@@ -12,6 +12,7 @@ from solver.kinds.register_scan import RegisterScan
 from solver.meshio.colours import read_colours
 from solver.meshio.raw import RawScan, mend, read_raw
 from solver.meshio.registered import read_registered, write_registered
+from solver.meshio.scan_archive import opened_scan
 from solver.progress import Step
 from solver.registration.detector import landmarker_file
 from solver.registration.landmarks import match, read_landmarks
@@ -26,13 +27,18 @@ from solver.storage import write_json
 def run(task: Task[RegisterScan]) -> list[Path]:
     """Register a raw scan: a neutral, or an expression if the person's ``neutral`` is given.
 
-    ``landmarks`` are in the scan's own unit and axes. ``registered.ply`` has the template's
+    The scan may be a ZIP of a mesh with its images. ``landmarks`` are in its own unit and axes.
+    ``registered.ply`` has the template's
     vertices in mm with the property ``confidence``. Of a scan with colours there are
     ``texture.png`` and ``texture_confidence.png``, too; images that cannot be used are a finding.
     Raises :class:`solver.errors.InputError` for files that cannot be used and for a scan without a
     face (``scan.not_a_face``).
     """
-    scan = task.inputs["scan"]
+    with opened_scan(task.inputs["scan"]) as scan:
+        return _register(task, scan)
+
+
+def _register(task: Task[RegisterScan], scan: Path) -> list[Path]:
     progress = task.progress
     neutral = task.inputs.get("neutral")
     landmarks = task.inputs.get("landmarks")
