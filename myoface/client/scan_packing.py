@@ -1,4 +1,4 @@
-"""Pack an OBJ with its MTL files and images, as an upload is one file."""
+"""Pack an OBJ or PLY with its MTL files and images, as an upload is one file."""
 
 from __future__ import annotations
 
@@ -10,22 +10,25 @@ import anyio
 
 LIBRARY = re.compile(rb"^mtllib[ \t]+(.+?)[ \t\r]*$", re.MULTILINE)
 IMAGE = re.compile(rb"^[ \t]*map_Kd[ \t]+(.+?)[ \t\r]*$", re.MULTILINE | re.IGNORECASE)
+COMMENT = re.compile(rb"^comment[ \t]+TextureFile[ \t]+(.+?)[ \t\r]*$", re.MULTILINE)
 LONGEST_MTL = 1 << 24  # bytes
+LONGEST_HEADER = 1 << 16  # of a PLY
 
 
 def with_images(scan: Path, folder: Path) -> Path:
-    """Return a ZIP in ``folder`` of an OBJ and what it names beside it, or the ``scan`` itself.
+    """Return a ZIP in ``folder`` of a mesh and what it names beside it, or the ``scan`` itself.
 
     The same files give the same bytes, so that a scan which is there already is known again. What
     does not lie beside the scan is left out: its registration tells.
     """
-    if scan.suffix.lower() != ".obj":
-        return scan
-    libraries = _beside(scan, LIBRARY.findall(scan.read_bytes()))
-    files = {scan.name: scan, **libraries}
-    for library in libraries.values():
-        with library.open("rb") as stream:
-            files |= _beside(scan, IMAGE.findall(stream.read(LONGEST_MTL)))
+    files = {scan.name: scan}
+    if scan.suffix.lower() == ".obj":
+        libraries = _beside(scan, LIBRARY.findall(scan.read_bytes()))
+        files |= libraries
+        for library in libraries.values():
+            files |= _beside(scan, IMAGE.findall(_start(library, LONGEST_MTL)))
+    elif scan.suffix.lower() == ".ply":
+        files |= _beside(scan, COMMENT.findall(_start(scan, LONGEST_HEADER)))
     if len(files) == 1:
         return scan
     packed = folder / f"{scan.stem}.zip"
@@ -38,6 +41,11 @@ def with_images(scan: Path, folder: Path) -> Path:
 async def async_with_images(scan: Path, folder: Path) -> Path:
     """Return a scan with its images, packed in a thread."""
     return await anyio.to_thread.run_sync(with_images, scan, folder)
+
+
+def _start(path: Path, most: int) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(most)
 
 
 def _beside(scan: Path, lines: list[bytes]) -> dict[str, Path]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -39,6 +40,23 @@ def scan_of(folder: Path) -> Path:
     return scan
 
 
+def ply_of(folder: Path) -> Path:
+    """Write a PLY with two images beside it."""
+    scan = folder / "head.ply"
+    names = ["my skin.png", "é.jpg", "gone.png"]
+    comments = "".join(f"comment TextureFile {name}\n" for name in names)
+    scan.write_text(f"ply\nformat ascii 1.0\n{comments}end_header\n")
+    for name in names[:2]:
+        (folder / name).write_bytes(name.encode() * 1000)
+    return scan
+
+
+def test_a_ply_goes_with_the_images_that_its_comments_name(tmp_path: Path) -> None:
+    packed = with_images(ply_of(tmp_path), tmp_path)
+    with ZipFile(packed) as archive:
+        assert archive.namelist() == ["head.ply", "my skin.png", "é.jpg"]
+
+
 def test_an_obj_goes_with_what_it_names_beside_it(tmp_path: Path) -> None:
     folder = tmp_path / "scans"
     folder.mkdir()
@@ -62,13 +80,14 @@ def test_a_scan_without_images_stays_what_it_is(tmp_path: Path) -> None:
     assert with_images(ply, tmp_path) == ply
 
 
-def test_the_page_packs_the_same_bytes(tmp_path: Path) -> None:
+@pytest.mark.parametrize("make", [scan_of, ply_of])
+def test_the_page_packs_the_same_bytes(make: Callable[[Path], Path], tmp_path: Path) -> None:
     node = shutil.which("node")
     if node is None:
         pytest.skip("there is no node here")
     folder = tmp_path / "scans"
     folder.mkdir()
-    scan = scan_of(folder)
+    scan = make(folder)
     shutil.copy(PAGE, folder / "scan_zip.mjs")
     others = [path.name for path in folder.iterdir() if path not in (scan, folder / "scan_zip.mjs")]
     target = tmp_path / "page.zip"

@@ -1,4 +1,4 @@
-// Pack an OBJ with its MTL files and images, as an upload is one file.
+// Pack an OBJ or PLY with its MTL files and images, as an upload is one file.
 // The same files give the same bytes, here and by the client (myoface/client/scan_packing.py).
 
 const DIRECTORY = 0x02014b50;
@@ -10,25 +10,28 @@ const DATE = 0x0021; // 1 January 1980
 const MADE_BY = 0x0314; // Unix
 const MODE = 0x01800000; // its owner's to read and write
 const MOST_MTL = 1 << 24;
+const MOST_HEADER = 1 << 16; // of a PLY
 const PIECE = 1 << 22;
 
-/** Return the MTL files and images that an OBJ names among the `files` of its folder. */
+const LIBRARY = /^mtllib[ \t]+(.+?)[ \t\r]*$/gm;
+const IMAGE = /^[ \t]*map_Kd[ \t]+(.+?)[ \t\r]*$/gim;
+const COMMENT = /^comment[ \t]+TextureFile[ \t]+(.+?)[ \t\r]*$/gm;
+
+/** Return the MTL files and images that an OBJ or PLY names among the `files` of its folder. */
 export async function imagesOf(scan, files) {
+  if (/\.ply$/i.test(scan.name)) return named(await lines(scan, MOST_HEADER, COMMENT), files);
   if (!/\.obj$/i.test(scan.name)) return [];
-  const libraries = named(await libraryLines(scan), files);
+  // in the first lines, where every scanner writes it
+  const libraries = named(await lines(scan, PIECE, LIBRARY), files);
   const images = [];
-  for (const library of libraries) {
-    const text = await library.slice(0, MOST_MTL).text();
-    const lines = [...text.matchAll(/^[ \t]*map_Kd[ \t]+(.+?)[ \t\r]*$/gim)].map(([, line]) => line);
-    images.push(...named(lines, files));
-  }
+  for (const library of libraries) images.push(...named(await lines(library, MOST_MTL, IMAGE), files));
   return [...new Set([...libraries, ...images])].filter((file) => file !== scan);
 }
 
-/** Return what stands behind `mtllib`: in the first lines, where every scanner writes it. */
-async function libraryLines(scan) {
-  const text = await scan.slice(0, PIECE).text();
-  return [...text.matchAll(/^mtllib[ \t]+(.+?)[ \t\r]*$/gm)].map(([, line]) => line);
+/** Return what stands behind a keyword, in the first bytes of a file. */
+async function lines(file, most, keyword) {
+  const text = await file.slice(0, most).text();
+  return [...text.matchAll(keyword)].map(([, line]) => line);
 }
 
 /** Return the files whose names lines end with: names may have blanks, options come before them. */
@@ -62,7 +65,7 @@ export async function packed(scan, images) {
   const end = [[END, 4], [0, 2], [0, 2], [count, 2], [count, 2], [size, 4], [place, 4], [0, 2]];
   const { name, lastModified } = scan;
   const whole = [...parts, ...directory, bytesOf(end)];
-  return new File(whole, name.replace(/obj$/i, "zip"), { type: "application/zip", lastModified });
+  return new File(whole, name.replace(/(obj|ply)$/i, "zip"), { type: "application/zip", lastModified });
 }
 
 /** Return what a member's header and its entry in the directory have in common. */
