@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import random
+import re
+
 import numpy as np
 
 from solver.neck.anatomy import BODIES, Neck
@@ -58,6 +61,40 @@ def osim_text(neck: Neck) -> str:
         f'<ForceSet name="forceset"><objects>\n{"".join(discs + muscles)}</objects></ForceSet>\n'
         "</Model>\n</OpenSimDocument>\n"
     )
+
+
+def mutated(text: str, seed: int) -> str:
+    """Return a file with a few things done to it that nobody would."""
+    dice = random.Random(seed)
+    for _ in range(dice.randint(1, 4)):
+        numbers = list(re.finditer(r"(?<=[> ])-?\d[\d.e-]*(?=[< ])", text))
+        lines = text.split("\n")
+        match dice.randrange(6):
+            case 0:
+                found = dice.choice(numbers)
+                put = dice.choice(["0", "-1", "1e308", "nan", "", "1e-300", "x", "9" * 400])
+                text = text[: found.start()] + put + text[found.end() :]
+            case 1:
+                del lines[dice.randrange(len(lines))]
+                text = "\n".join(lines)
+            case 2:
+                at = dice.randrange(len(lines))
+                lines.insert(at, lines[dice.randrange(len(lines))])
+                text = "\n".join(lines)
+            case 3:
+                names = list(re.finditer(r"/bodyset/(\w+)", text))
+                found = dice.choice(names)
+                put = dice.choice(names).group(0)
+                text = text[: found.start()] + put + text[found.end() :]
+            case 4:
+                tags = re.findall(r"</(\w+)>", text)
+                old = dice.choice(tags)
+                new = dice.choice(tags)
+                text = text.replace(f"<{old}", f"<{new}").replace(f"</{old}>", f"</{new}>")
+            case _:
+                begin = dice.randrange(len(text))
+                text = text[:begin] + text[begin + dice.randrange(60) :]
+    return text
 
 
 def _body(name: str, mass: float, at: np.ndarray, inertia: np.ndarray) -> str:

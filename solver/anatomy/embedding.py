@@ -7,6 +7,7 @@ from collections.abc import Callable
 import igl
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
@@ -145,6 +146,16 @@ class LooseSkin:
         if self._factor is None:
             return np.empty((0, moved.shape[1]))
         return np.asarray(self._factor.solve(np.asarray(self._pull @ moved[self._given])))
+
+    def resist(self, pulls: NDArray[np.bool_]) -> Floats:
+        """Return how much skin resists where all that it hangs on moves by 1: (V,).
+
+        It counts where loose skin ``pulls`` (k,), by the weights of the edges.
+        """
+        out = np.zeros(self._count)
+        stays = 1.0 - self.follow(np.ones((self._count, 1)))[:, 0]
+        out[self._given] = self._pull.T @ (pulls * stays)
+        return out
 
     def adjoint(self, forces: Floats) -> Floats:
         """Return the transpose of :meth:`follow` applied to ``forces`` (k, 3): (V, 3)."""

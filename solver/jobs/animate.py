@@ -18,11 +18,11 @@ from solver.errors import InputError
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, read_template
 from solver.jobs.blendshapes import SOLVED, left_files, person_blendshapes, tell_blendshapes
-from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
+from solver.jobs.scenes import CARRIED, EXPORT, READ, fingerprint, finish, play, read_person
 from solver.kinds.animate import Animate
 from solver.mechanics.linear import fastest
 from solver.neck.body import import_mujoco
-from solver.progress import Step, part_of
+from solver.progress import ProgressCallback, Step, part_of
 from solver.rig import Rig
 from solver.rig.frames.animation import check_video
 from solver.scans.performance import ARKIT_NAMES, FaceTake
@@ -66,11 +66,10 @@ def run(task: Task[Animate]) -> list[Path]:
         progress(Step("warning", READ, message=notice.message))
 
     played = _Played()
-    stage, drives, begun = _staged(task, rig, places, recorded, played)
+    stage, drives, playing = _staged(task, rig, places, recorded, played)
     more = {**_told_of(recorded, played.transfer), **played.figures}
     if recorded.timecodes:
         more["timecode"] = recorded.timecodes[recording.start]
-    playing = part_of(progress, begun, EXPORT)
     frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
     shown = recorded.seen[recording.start : recording.end]
     arrays = {"weights": drives.weights, "seen": shown, **played.arrays}
@@ -83,17 +82,24 @@ def run(task: Task[Animate]) -> list[Path]:
 
 def _staged(
     task: Task[Animate], rig: Rig, places: Places, recorded: FaceTake, played: _Played
-) -> tuple[Stage, RecordedDrives, float]:
-    """Return the stage, what drives it, and the share of the job that is done then."""
+) -> tuple[Stage, RecordedDrives, ProgressCallback]:
+    """Return the stage, what drives it, and the progress of its playing."""
     given = task.options
     scene = given.scene
     recording = scene.recording
     model = rig.model
     S = rig.weights
 
-    def stage_of(drives: RecordedDrives, tracks: MuscleTracks | None = None) -> Stage:
-        firmer = 1.0 if tracks is None else TrackContact.firmer
-        return Stage(scene, places, S, drives, given.linear_solver, firmer=firmer, tracks=tracks)
+    def staged(
+        drives: RecordedDrives,
+        begun: float,
+        firmer: float = 1.0,
+        tracks: MuscleTracks | None = None,
+    ) -> tuple[Stage, RecordedDrives, ProgressCallback]:
+        playing = part_of(task.progress, begun, EXPORT)
+        driven = S, drives, given.linear_solver, None, firmer, tracks
+        stage = Stage(scene, places, *driven, progress=part_of(playing, 0.0, CARRIED))
+        return stage, drives, playing
 
     def check(drives: RecordedDrives) -> None:
         if scene.neck is not None and scene.neck.muscles:
@@ -119,13 +125,13 @@ def _staged(
         tracks = MuscleTracks.load(task.inputs["tracks"], model)
         drives = drives_of(TrackedShapes.of(model, tracks))
         played.figures["shapes"] = len(tracks.names)
-        return stage_of(drives, tracks), drives, READ
+        return staged(drives, READ, TrackContact.firmer, tracks)
     # what moves the muscles may take minutes: what is wrong with the scene is told before
     check(drives_of(Blendshapes(model.muscle_names, {})))
     shapes = _shapes_of(task, rig, played)
     weights = drives_of(shapes).weights
     drives = drives_of(shapes, _fit_frames(task, rig, shapes, weights, played))
-    return stage_of(drives), drives, SOLVED
+    return staged(drives, SOLVED)
 
 
 def _detecting(task: Task[Animate]) -> Callable[[int], None]:

@@ -23,7 +23,7 @@ from solver.jobs import Task, hash_files
 from solver.kinds.scene_edits import FatEntry
 from solver.neck.anatomy import BODIES
 from solver.neck.skin import two_bones
-from solver.progress import ProgressCallback, Step, silent
+from solver.progress import ProgressCallback, Step, part_of, silent
 from solver.rig import Rig
 from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
 from solver.rig.frames.animation import (
@@ -71,6 +71,7 @@ def fingerprint(task: Task[Any]) -> str:
 CHUNKS = ChunkOptions(frames=10)
 NECK_PICTURE = "neck.png"
 READ = 0.02  # share of a job after which its inputs are read
+CARRIED = 0.1  # share of the playing after which the motion of a neck is known
 EXPORT = 0.9  # share after which its files are written
 
 
@@ -100,6 +101,7 @@ def play(
     if not resume:
         shutil.rmtree(out / FRAMES, ignore_errors=True)
     if stage.neck is not None:
+        progress = part_of(progress, CARRIED)
         for notice in stage.neck.notices:
             progress(Step("warning", 0.0, message=notice.message))
     done, motion = read_motion(out / FRAMES, scene, stage.model.rest)

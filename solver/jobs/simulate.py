@@ -11,9 +11,9 @@ from solver.fitting.calibration import read_muscles
 from solver.fitting.face import Pose
 from solver.fitting.strips import strip_names
 from solver.jobs import Task
-from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
+from solver.jobs.scenes import CARRIED, EXPORT, READ, fingerprint, finish, play, read_person
 from solver.kinds.simulate import Simulate
-from solver.progress import part_of
+from solver.progress import ProgressCallback, part_of
 from solver.rig import Rig
 from solver.rig.frames.animation import check_video
 from solver.scene import Stage
@@ -47,13 +47,16 @@ def run(task: Task[Simulate]) -> list[Path]:
         check_video()
     rig, places = read_person(task)
     by_tracks = given.scene.drive == "tracks"
-    stage, more = (_by_tracks if by_tracks else _by_muscles)(task, rig, places)
     playing = part_of(progress, READ, EXPORT)
+    of_neck = part_of(playing, 0.0, CARRIED)
+    stage, more = (_by_tracks if by_tracks else _by_muscles)(task, rig, places, of_neck)
     frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
     return finish(stage, frames, out, progress, title="Simulation", video=given.video, more=more)
 
 
-def _by_muscles(task: Task[Simulate], rig: Rig, places: Places) -> tuple[Stage, dict[str, Any]]:
+def _by_muscles(
+    task: Task[Simulate], rig: Rig, places: Places, of_neck: ProgressCallback
+) -> tuple[Stage, dict[str, Any]]:
     """Return a scene that a rig's expressions, performances and muscles play, and its figures."""
     given = task.options
     poses = {fit.name: Pose(fit.activations, fit.jaw) for fit in rig.expressions}
@@ -66,20 +69,23 @@ def _by_muscles(task: Task[Simulate], rig: Rig, places: Places) -> tuple[Stage, 
     names = None if fibres is None else strip_names(rig.model.muscle_names, fibres)
     drives = drives_of(*parts, rig.model, rig.weights, performances, names, limits)
     firmer = 1.0 if performances is None else max(float(performances.curve.max()), 1.0)
-    stage = Stage(given.scene, places, rig.weights, drives, given.linear_solver, fibres, firmer)
+    driven = rig.weights, drives, given.linear_solver, fibres, firmer
+    stage = Stage(given.scene, places, *driven, progress=of_neck)
     played = performances.performances if performances else ()
     return stage, {"performances": [*map(_told, played)]}
 
 
-def _by_tracks(task: Task[Simulate], rig: Rig, places: Places) -> tuple[Stage, dict[str, Any]]:
+def _by_tracks(
+    task: Task[Simulate], rig: Rig, places: Places, of_neck: ProgressCallback
+) -> tuple[Stage, dict[str, Any]]:
     """Return a scene that the shapes of tracks play, and its figures."""
     given = task.options
     tracks = MuscleTracks.load(task.inputs["tracks"], rig.model)
     shapes = TrackedShapes.of(rig.model, tracks)
     played = shape_performance_of(given.scene, shapes, places)
     drives = track_drives_of(given.scene, shapes, places, played)
-    driven = rig.weights, drives, given.linear_solver
-    stage = Stage(given.scene, places, *driven, firmer=TrackContact.firmer, tracks=tracks)
+    driven = rig.weights, drives, given.linear_solver, None, TrackContact.firmer, tracks
+    stage = Stage(given.scene, places, *driven, progress=of_neck)
     told = [_told(played)] if played else []
     return stage, {"shapes": len(tracks.names), "performances": told}
 

@@ -21,6 +21,7 @@ from solver.neck.hill import HillOptions
 from solver.neck.posture import share_out, within
 from solver.neck.reflex import ReflexOptions
 from solver.neck.voluntary import Voluntary, VoluntaryOptions
+from solver.progress import ProgressCallback, Step, silent
 from solver.surface import Floats
 
 SPLINE = 5  # points that a smoothing spline needs
@@ -46,6 +47,7 @@ class MotionOptions:
     settle_s: float = 0.6  # at the first goal, before the first frame
     push_steps: int = 10  # time steps after which a push's torques are made anew
     most_s: float = 3600.0  # of a goal
+    told_s: float = 1.0  # of motion between two reports of progress
     voluntary: VoluntaryOptions = field(default_factory=VoluntaryOptions)
     reflex: ReflexOptions = field(default_factory=ReflexOptions)
     hill: HillOptions = field(default_factory=HillOptions)
@@ -184,6 +186,7 @@ def follow(
     options: MotionOptions = MotionOptions(),
     gravity: Floats | None = None,
     pushes: Sequence[Push] = (),
+    progress: ProgressCallback = silent,
 ) -> NeckMotion:
     """Return the motion of a neck that follows a goal; ``gravity`` (3,) m/s^2, down for None.
 
@@ -197,7 +200,14 @@ def follow(
     turns = []
     activations = []
     off: list[float] = []
-    for time_s in goal.times:
+    begin, end = goal.times[[0, -1]].tolist()
+    told = begin
+    for time_s in goal.times.tolist():
+        if time_s >= told:
+            part = (time_s - begin) / max(end - begin, options.told_s)
+            words = f"{time_s - begin:.1f} of {end - begin:.1f} s"
+            progress(Step("neck", part, message=words))
+            told += options.told_s
         run.to(time_s)
         turns.append(dynamics.body.turns)
         activations.append(dynamics.activations.copy())

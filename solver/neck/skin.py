@@ -29,7 +29,7 @@ from solver.mechanics.harmonic import HarmonicExtension, laplacian
 from solver.model import SubjectModel
 from solver.neck.anatomy import JOINTS, Neck
 from solver.similarity import move_each, move_each_back
-from solver.surface import Floats, Ints, adjacency, directed_edges
+from solver.surface import Floats, Ints, adjacency
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class NeckSkinOptions:
     under_bone_mm: float = 8.0  # skin so far below the jaw's border is still the skull's
     back_part: float = 0.3  # of the mandible, by its length, that has its angles
     nape_above_mm: float = 20.0  # of the nape's border, where muscles end, above the head's joint
-    # of skin at the flesh's border, per mm of it: Young's modulus 0.1 MPa x 2 mm / 25 mm
-    pull_pa: float = 8000.0
+    # of skin, 2 mm thick: 0.5 MPa, between the 0.42 and 0.85 of Agache and others (1980)
+    membrane_pa_mm: float = 1e6
     skin_weight: float = 1e3  # of the flesh's places at the skin, by the mean diagonal
 
 
@@ -93,23 +93,13 @@ class NeckSkin:
     def pull(self, options: NeckSkinOptions = NeckSkinOptions()) -> Floats:
         """Return how stiffly the neck's skin pulls each vertex of the flesh (p,), in Pa mm.
 
-        It pulls where it hangs on skin that lies on flesh, by the length of edges there.
+        It is the skin that follows the flesh (:class:`LooseSkin`), as a membrane: so it pulls most
+        at tips of the flesh, which have much of it around them.
         """
         model = self.model
-        count = len(model.skin.vertices)
-        on_flesh = np.zeros(count, bool)
-        on_flesh[model.embedded] = True
-        sides = directed_edges(model.skin.faces)
-        of_neck = (self.places[sides] < JOINTS).any(axis=1)
-        border = sides[of_neck & (on_flesh[sides[:, 0]] != on_flesh[sides[:, 1]])]
-        ends = np.unique(border[on_flesh[border]])
-        along = sides[np.isin(sides, ends).all(axis=1)]
-        length = np.zeros(count)
-        ends_of = model.skin.vertices[along]
-        lengths = np.linalg.norm(ends_of[:, 1] - ends_of[:, 0], axis=1)
-        np.add.at(length, along.ravel(), np.repeat(0.25 * lengths, 2))
-        shared = model.embedding.T @ length[model.embedded]
-        return np.asarray(options.pull_pa * np.maximum(shared, 0.0))
+        pulls = self.loose.resist(self.places[self.loose.ids] < JOINTS)
+        shared = model.embedding.T @ pulls[model.embedded]
+        return np.asarray(options.membrane_pa_mm * np.maximum(shared, 0.0))
 
     def unposed(self, matrices: Floats, skin: Floats) -> Floats:
         """Return the skin (V, 3) at rest of which the bodies make ``skin`` (V, 3)."""

@@ -25,6 +25,7 @@ from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import IDENTITY, LAWS, MOONEY_RIVLIN
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
+from solver.progress import ProgressCallback, silent
 from solver.scene.neck import CarriedHead
 from solver.scene.places import Places, check_objects, objects_of
 from solver.simulation import Simulator
@@ -177,9 +178,9 @@ class Stage:
 
     That are ``fibres`` or ``tracks``, whose muscles have the model's shares of the tets. ``drives``
     say what the face does; ``linear`` names the linear solver; ``objects`` are what the face meets,
-    ``muscles`` what moves it; contact is ``firmer`` by a factor. Raises
-    :class:`~solver.errors.InputError` (``scene.*``, ``force.point``, ``contact.crossed``) for what
-    the person does not have or cannot be.
+    ``muscles`` what moves it; contact is ``firmer`` by a factor; ``progress`` is that of a neck.
+    Raises :class:`~solver.errors.InputError` (``scene.*``, ``force.point``, ``contact.crossed``)
+    for what the person does not have or cannot be.
     """
 
     def __init__(
@@ -192,6 +193,7 @@ class Stage:
         fibres: FibreMuscles | None = None,
         firmer: float = 1.0,
         tracks: MuscleTracks | None = None,
+        progress: ProgressCallback = silent,
     ) -> None:
         check_length(len(drives.times))
         self.drives = drives
@@ -220,8 +222,8 @@ class Stage:
         self.steps_per_frame = scene.steps_per_frame or (STEPS if dynamic else 1)
         self.neck: CarriedHead | None = None
         if scene.neck is not None:
-            steps = self.steps_per_frame
-            self.neck = CarriedHead(scene.neck, places, self.model, drives, steps, scene.forces)
+            driven = drives, self.steps_per_frame, scene.forces
+            self.neck = CarriedHead(scene.neck, places, self.model, *driven, progress)
         begin = float(drives.times[0])
         objects = self._seen(self.drive(begin, drives(begin)))
         names = [each.name for each in self.objects]

@@ -27,6 +27,7 @@ from solver.neck.posture import share_out
 from solver.neck.reflex import ReflexOptions
 from solver.neck.skin import NeckSkin
 from solver.neck.voluntary import VoluntaryOptions
+from solver.progress import ProgressCallback, silent
 from solver.scene.places import Places
 from solver.similarity import Similarity
 from solver.surface import Floats
@@ -52,6 +53,7 @@ class CarriedHead:
         drives: Drives,
         steps: int,
         forces: Sequence[Force] = (),
+        progress: ProgressCallback = silent,
     ) -> None:
         self.model = model
         joint = head_joint(model)
@@ -70,7 +72,8 @@ class CarriedHead:
         pushes = [push_of(push, places) for push in entry.pushes]
         if entry.muscles:
             gravity = gravity_of(forces)
-            self.motion = follow(self.placed.neck, goal, self._options, gravity, pushes)
+            acting = gravity, pushes
+            self.motion = follow(self.placed.neck, goal, self._options, *acting, progress)
         else:
             self.motion = _share_out(self.placed.neck, goal)
         self.pose = lru_cache(maxsize=4)(self._pose)

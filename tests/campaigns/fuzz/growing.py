@@ -192,6 +192,12 @@ FILES: dict[str, Callable[[int], bytes]] = {
     "columns.csv": lambda n: _take(3, "".join(f",a{k}" for k in range(n))),
     "quotes.csv": lambda n: _take(3) + b'"' * n,
     "array.npy": lambda n: _npy(n),
+    "muscles.osim": seeds.neck_of,
+    "elements.osim": lambda n: b"<OpenSimDocument>" + b"<a/>" * n + b"</OpenSimDocument>",
+    "deep.osim": lambda n: b"<a>" * n,
+    "text.osim": lambda n: b"<OpenSimDocument>" + b"1 \n" * n + b"</OpenSimDocument>",
+    "attributes.osim": lambda n: b"<a" + b"".join(b' b%d="1"' % k for k in range(n)) + b"/>",
+    "entities.osim": lambda n: b"<!DOCTYPE a [" + b'<!ENTITY b "">' * n + b"]><a/>",
 }
 
 

@@ -6,6 +6,7 @@ import base64
 import io
 import json
 import tempfile
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from PIL import Image, ImageCms
 from solver.animation.performance import FORMATS
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.model import SubjectModel
+from solver.neck.builtin import builtin_neck
 from solver.rig.frames.animation import write_video
 from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.scans.markers.readers.take import Take
@@ -26,6 +28,7 @@ from solver.scans.performance import ARKIT_NAMES, FaceTake, write_signals
 from solver.similarity import IDENTITY
 from tests import take_files
 from tests.ball_head import ball_head
+from tests.osim_file import osim_text
 
 
 @cache
@@ -143,6 +146,18 @@ def films() -> list[bytes]:
     with tempfile.TemporaryDirectory() as folder:
         write_video(path := Path(folder) / "film.mp4", pictures, (64, 96), 25.0)
         return [path.read_bytes()]
+
+
+def osim() -> list[bytes]:
+    """Return a neck of OpenSim with two muscles."""
+    return [neck_of(2)]
+
+
+def neck_of(muscles: int) -> bytes:
+    """Return a neck of OpenSim with so many muscles, of which every other is the same."""
+    neck = builtin_neck()
+    pairs = neck.muscles[:2] * (muscles // 2 + 1)
+    return osim_text(replace(neck, muscles=pairs[:muscles])).encode()
 
 
 def openface() -> list[bytes]:

@@ -18,6 +18,7 @@ from solver.errors import InputError
 from solver.kinds.scene_recording import Recording
 from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered
+from solver.neck.osim import read_osim
 from solver.photo.facts import read_facts
 from solver.photo.picture import Picture, read_picture
 from solver.registration.landmarks import read_landmarks
@@ -173,6 +174,7 @@ def targets() -> list[Target]:
         _file("picture png", seeds.pictures_png(), "png", read_picture),
         _file("photograph json", seeds.photograph_json(), "json", _facts),
         _file("live link", seeds.live_link(), "csv", read_live_link),
+        _file("osim", seeds.osim(), "osim", read_osim),
         _file("openface", seeds.openface(), "csv", _openface),
         _file("signals", seeds.signals(), "csv", read_live_link),
         replace(_file("film", seeds.films(), "mp4", _film), most_inputs=300),

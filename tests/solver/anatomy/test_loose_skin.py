@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 
+import igl
 import numpy as np
 
 from solver.anatomy.embedding import LooseSkin
-from solver.surface import Surface
+from solver.surface import Surface, vertex_areas
 from tests.solver.block import head_block
 
 NECK_MM = 240.0
@@ -83,3 +84,23 @@ def test_the_adjoint_of_following_is_its_transpose():
     np.testing.assert_allclose((forces * loose.follow(moved)).sum(), (pulled * moved).sum())
     side_by_side = loose.follow(np.hstack([moved, 2.0 * moved]))
     np.testing.assert_allclose(side_by_side[:, 3:], 2.0 * loose.follow(moved))
+
+
+def test_what_loose_skin_resists_is_the_energy_of_its_displacement():
+    model, number = with_a_neck(head_block())
+    loose = LooseSkin(model, fade_mm=FADE_MM, still=number[-1])
+    skin = model.skin
+    moved = np.zeros((len(skin.vertices), 1))
+    moved[model.embedded] = 1.0
+    moved[loose.ids] = loose.follow(moved)
+    hangs = np.zeros(len(moved), bool)
+    hangs[loose.ids] = True
+    edges = igl.edges(skin.faces)
+    edges = edges[hangs[edges].any(axis=1) & ~np.isin(edges, number[-1]).all(axis=1)]
+    stretched = ((moved[edges[:, 0]] - moved[edges[:, 1]]) ** 2).sum()
+    areas = vertex_areas(skin.vertices, skin.faces)
+    held = (areas[loose.ids] * moved[loose.ids, 0] ** 2).sum() / FADE_MM**2
+    resists = loose.resist(np.ones(len(loose.ids), bool))
+    np.testing.assert_allclose(resists.sum(), stretched + held)
+    assert np.count_nonzero(resists) == len(number[0])
+    assert (loose.resist(np.zeros(len(loose.ids), bool)) == 0.0).all()

@@ -1,6 +1,5 @@
 """Reading necks of OpenSim: our own file back, a real one beside OpenSim, and hostile ones."""
 
-import random
 import re
 from contextlib import suppress
 from itertools import pairwise
@@ -18,7 +17,7 @@ from solver.neck.motion import MotionOptions, follow, reachable
 from solver.neck.osim import OsimOptions, read_osim
 from solver.neck.osim_joints import Joint
 from tests.fixtures import data_folder
-from tests.osim_file import osim_text
+from tests.osim_file import mutated, osim_text
 
 TEXT = osim_text(builtin_neck())
 
@@ -168,40 +167,6 @@ def test_large_and_deep_files_are_refused(tmp_path):
         read(tmp_path, "<a>" * 5000 + "</a>" * 5000)
     with pytest.raises(InputError, match="no XML"):
         read(tmp_path, TEXT[:5000])
-
-
-def mutated(text: str, seed: int) -> str:
-    """Return a file with a few things done to it that nobody would."""
-    dice = random.Random(seed)
-    for _ in range(dice.randint(1, 4)):
-        numbers = list(re.finditer(r"(?<=[> ])-?\d[\d.e-]*(?=[< ])", text))
-        lines = text.split("\n")
-        match dice.randrange(6):
-            case 0:
-                found = dice.choice(numbers)
-                put = dice.choice(["0", "-1", "1e308", "nan", "", "1e-300", "x", "9" * 400])
-                text = text[: found.start()] + put + text[found.end() :]
-            case 1:
-                del lines[dice.randrange(len(lines))]
-                text = "\n".join(lines)
-            case 2:
-                at = dice.randrange(len(lines))
-                lines.insert(at, lines[dice.randrange(len(lines))])
-                text = "\n".join(lines)
-            case 3:
-                names = list(re.finditer(r"/bodyset/(\w+)", text))
-                found = dice.choice(names)
-                put = dice.choice(names).group(0)
-                text = text[: found.start()] + put + text[found.end() :]
-            case 4:
-                tags = re.findall(r"</(\w+)>", text)
-                old = dice.choice(tags)
-                new = dice.choice(tags)
-                text = text.replace(f"<{old}", f"<{new}").replace(f"</{old}>", f"</{new}>")
-            case _:
-                begin = dice.randrange(len(text))
-                text = text[:begin] + text[begin + dice.randrange(60) :]
-    return text
 
 
 @pytest.mark.long

@@ -152,13 +152,19 @@ def test_a_scene_that_was_stopped_goes_on_with_the_same_neck(tmp_path: Path) -> 
     head = [{"time": 0}, {"time": 0.6, "rotation_deg": [0, 25, 0]}]
     options = {"scene": {"fps": 5, "duration": 0.6, "neck": {}, "head": head}}
 
+    told = list[Step]()
+
     def stop(step: Step, /) -> None:
+        told.append(step)
         if step.iteration == 2:
             raise KeyboardInterrupt
 
     run_job("simulate", tmp_path / "whole", options=options, rig=rig)
     with pytest.raises(KeyboardInterrupt):
         run_job("simulate", tmp_path / "parts", options=options, rig=rig, progress=stop)
+    assert [step.message for step in told if step.phase == "neck"] == ["0.0 of 0.6 s"]
+    fractions = [step.fraction for step in told]
+    assert fractions == sorted(fractions)
     assert len(list((tmp_path / "parts/frames").iterdir())) == 1
     run_job("simulate", tmp_path / "parts", options=options, rig=rig, resume=True)
     found = []
