@@ -79,8 +79,8 @@ class FollowedFrame:
     @classmethod
     def unpack(cls, data: bytes) -> FollowedFrame:
         """Return the frame in ``data``; raises :class:`MessageError`."""
-        flags, *told = _check(data, _FOLLOWED, FOLLOWED)
-        return cls(*told, flags, data[_FOLLOWED.size :])
+        flags, number, seconds, solve, p50, p95, dropped = _check(data, _FOLLOWED, FOLLOWED)
+        return cls(number, seconds, solve, p50, p95, dropped, flags, data[_FOLLOWED.size :])
 
 
 # Flags of followed frames
