@@ -6,6 +6,7 @@ worker keeps one end and passes the session's messages on; the solver process ge
 
 from __future__ import annotations
 
+import os
 import select
 import socket
 import struct
@@ -21,7 +22,10 @@ class ChannelClosedError(ConnectionError):
 
 
 class Channel:
-    """One end of a stream socket; each direction has one thread at most."""
+    """One end of a stream socket; each direction has one thread at most.
+
+    It is read and written as a file is: a confined process may make no call of sockets.
+    """
 
     def __init__(self, end: socket.socket) -> None:
         self._end = end
@@ -44,9 +48,10 @@ class Channel:
 
     def send(self, message: Message) -> None:
         """Send a message; raises :class:`ChannelClosedError`."""
+        left = memoryview(_HEADER.pack(len(message.data), message.is_text) + message.data)
         try:
-            header = _HEADER.pack(len(message.data), message.is_text)
-            self._end.sendall(header + message.data)
+            while left:
+                left = left[os.write(self.fileno(), left) :]
         except OSError as error:
             raise ChannelClosedError(str(error)) from error
 
@@ -60,7 +65,7 @@ class Channel:
             if timeout is not None and not select.select([self._end], [], [], timeout)[0]:
                 return None
             try:
-                piece = self._end.recv(_PIECE)
+                piece = os.read(self.fileno(), _PIECE)
             except OSError as error:
                 raise ChannelClosedError(str(error)) from error
             if not piece:
