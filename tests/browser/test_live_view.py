@@ -94,7 +94,8 @@ class Session:
 
     def _give_ticket(self, route: Any) -> None:
         self.tickets.append(route.request.post_data_json)
-        route.fulfill(json={"ticket": f"ticket-{len(self.tickets)}"})
+        url = f"/v1/live/{SESSION}/frames?ticket=ticket-{len(self.tickets)}"
+        route.fulfill(json={"url": url}, status=201)
 
     def _open(self, socket: Any) -> None:
         self.sockets.append(socket)

@@ -5,7 +5,7 @@ import { FrameReader } from "./frames.js";
 
 const FIRST_PAUSE_MS = 500;
 const LONGEST_PAUSE_MS = 8_000;
-const OVER = new Set(["live.ended", "live.unknown"]);
+const HOPELESS = new Set([400, 403, 404, 409, 410, 422]); // answers that no waiting mends
 
 /**
  * Watches a session. Events: `message` (detail: what the session said), `frame` (detail: a frame),
@@ -34,7 +34,7 @@ export class LiveFeed extends EventTarget {
         if (!this.#isOver) await api.pause(ms, this.#signal);
       } catch (error) {
         if (this.#signal.aborted) return;
-        if (error.status === 404 || OVER.has(error.code) || (error.status >= 400 && error.status < 429)) {
+        if (HOPELESS.has(error.status)) {
           this.#tell("failed", error);
           return;
         }
@@ -56,10 +56,9 @@ export class LiveFeed extends EventTarget {
 
   /** Listen until the line breaks; returns whether there was one. */
   async #listen() {
-    const { ticket } = await api.post(`/v1/live/${this.#id}/tickets`, { watch: true }, this.#signal);
-    const address = new URL(`/v1/live/${this.#id}/frames`, location.href);
+    const { url } = await api.post(`/v1/live/${this.#id}/tickets`, { watch: true }, this.#signal);
+    const address = new URL(url, location.href);
     address.protocol = address.protocol.replace("http", "ws");
-    address.searchParams.set("ticket", ticket);
     return new Promise((resolve) => {
       const socket = new WebSocket(address);
       this.#socket = socket;

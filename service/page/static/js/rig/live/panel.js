@@ -3,7 +3,7 @@
 import * as api from "../../api.js";
 import { announce, h, setText, show } from "../../dom.js";
 import { meter } from "../../parts/meter.js";
-import { state as stateOf } from "../../parts/state.js";
+import { FINAL, state as stateOf } from "../../parts/state.js";
 import { toast } from "../../parts/toast.js";
 import { sentence } from "../../parts/trouble.js";
 import { repeat } from "../../repeat.js";
@@ -16,7 +16,6 @@ import { LiveTakes } from "./takes.js";
 
 const EVERY_MS = 3_000;
 const FIGURES_MS = 500;
-const OVER = new Set(["succeeded", "failed", "canceled", "ended"]);
 
 /**
  * Sessions of a rig. `change(patch)` takes a part of a state, which names the session; `came()` is
@@ -106,7 +105,7 @@ export class LivePanel {
 
   async #look() {
     const sessions = (await api.all("/v1/live", { rig_id: this.#rig.id }, this.#signal))
-      .filter((session) => session.rig_id === this.#rig.id && !OVER.has(session.state));
+      .filter(({ state }) => !FINAL.has(state));
     const known = [...this.#sessions.keys()].join() === sessions.map(({ id }) => id).join();
     this.#sessions = new Map(sessions.map((session) => [session.id, session]));
     if (known && this.#pick.childElementCount) return;
