@@ -19,11 +19,10 @@ NOT_A_FRAME = "client.frame"
 VERSION = 1
 
 _GIVEN = struct.Struct("<4sHHId")  # "MYF>", version, 0, number, seconds; then float32
-_FOLLOWED = struct.Struct(
-    "<4sHHIdfffI"
-)  # "MYF<", version, flags, number, seconds, figures, dropped
+_FOLLOWED = struct.Struct("<4sHHIdfffI")  # "MYF<", version, flags, and as `LiveFrame` has it
+_BEGINS = struct.pack("<4sH", b"MYF<", VERSION)
 
-# Weights or coordinates: float32 in bytes, an array, rows (None: not seen), or either by their names
+# Weights or places: float32 in bytes, an array, rows (None: not seen), or either by their names
 Numbers: TypeAlias = "bytes | array[float] | Iterable[Any] | Mapping[str, Any]"
 
 
@@ -101,7 +100,7 @@ def read_frame(data: bytes, layout: Sequence[Mapping[str, Any]]) -> LiveFrame:
     ApiError
         ``client.frame`` for bytes that are no frame of this release's.
     """
-    if len(data) < _FOLLOWED.size or data[:6] != _FOLLOWED.pack(b"MYF<", VERSION, *[0] * 8)[:6]:
+    if len(data) < _FOLLOWED.size or not data.startswith(_BEGINS):
         detail = f"{len(data)} bytes that are no frame of a live session's"
         raise ApiError({"code": NOT_A_FRAME, "detail": detail})
     _, _, flags, number, seconds, solve, p50, p95, dropped = _FOLLOWED.unpack_from(data)
