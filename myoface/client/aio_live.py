@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections import deque
-from collections.abc import AsyncIterable, AsyncIterator, Iterable
+from collections.abc import AsyncIterable, AsyncIterator, Callable, Iterable, Mapping
 from contextlib import asynccontextmanager, suppress
 from typing import Any
 
@@ -23,8 +23,15 @@ from myoface.client.live_frames import (
     pack_frame,
     read_frame,
 )
-from myoface.client.retry import Backoff
-from myoface.client.sockets import CLOSED, AsyncSocket, address_of, describe_proxy
+from myoface.client.retry import Backoff, ClientOptions
+from myoface.client.sockets import (
+    CLOSED,
+    AsyncConnect,
+    AsyncLock,
+    AsyncSocket,
+    address_of,
+    describe_proxy,
+)
 from myoface.errors import UNREACHABLE, ApiError
 from myoface.resources import Artifact, FromJob, Rig
 
@@ -33,6 +40,13 @@ ENDED = "client.ended"
 # key, a message that is too large
 FOR_GOOD = (1000, 4001, 4003, 1009)
 MOST_FAULTS = 100  # that are kept
+
+# Called with whatever a session says in words
+Listener = Callable[[dict[str, Any]], None]
+
+
+def unheard(_words: dict[str, Any], /) -> None:
+    """Let a session speak without listening."""
 
 
 class AsyncLiveSessions(AsyncCaptures):
@@ -46,12 +60,13 @@ class AsyncLiveSessions(AsyncCaptures):
         source: str = "weights",
         captures: Iterable[str | Artifact | FromJob] = (),
         options: dict[str, Any] | None = None,
+        listen: Listener = unheard,
     ) -> AsyncIterator[AsyncLiveFace]:
         """Open a live session on a rig, and yield its face as soon as it is ready.
 
         ``source`` is what its frames are: weights, markers, points or landmarks; ``captures`` may
-        have a marker set. The session ends with the block, and its takes are files of the job of
-        the same id then.
+        have a marker set; ``listen`` is called with what the session says. The session ends with
+        the block, and its takes are files of the job of the same id then.
         """
         opened = await self._create(
             "/v1/live",
@@ -61,9 +76,9 @@ class AsyncLiveSessions(AsyncCaptures):
             **by_origin(captures),
             options=options,
         )
-        face = AsyncLiveFace(self, opened.id)
+        face = self._face(opened.id, False, listen)
         try:
-            await face.open(opened)
+            await face.open(await self._open_socket(opened.url))
             yield face
         finally:
             await face.close()
@@ -71,12 +86,13 @@ class AsyncLiveSessions(AsyncCaptures):
 
     @asynccontextmanager
     async def join_live(
-        self, session_id: str, *, watch: bool = True
+        self, session_id: str, *, watch: bool = True, listen: Listener = unheard
     ) -> AsyncIterator[AsyncLiveFace]:
         """Connect to a session that somebody opened, to ``watch`` it or in its station's place."""
-        face = AsyncLiveFace(self, session_id, watch=watch)
+        face = self._face(session_id, watch, listen)
         try:
-            await face.open(await self.live_ticket(session_id, watch=watch))
+            ticket = await self.live_ticket(session_id, watch=watch)
+            await face.open(await self._open_socket(ticket.url))
             yield face
         finally:
             await face.close()
@@ -98,6 +114,13 @@ class AsyncLiveSessions(AsyncCaptures):
         response = await self._request("DELETE", f"/v1/live/{session_id}", through=True)
         return LiveSession.read(response.json())
 
+    def _face(self, session_id: str, watch: bool, listen: Listener) -> AsyncLiveFace:
+        async def connect() -> AsyncSocket:
+            ticket = await self.live_ticket(session_id, watch=watch)
+            return await self._open_socket(ticket.url)
+
+        return AsyncLiveFace(session_id, connect, self._options, listen)
+
     async def _open_socket(self, url: str) -> AsyncSocket:
         proxy = describe_proxy(self._proxy)
         return await AsyncSocket.open(address_of(self._url, url), self._authority, proxy)
@@ -106,27 +129,35 @@ class AsyncLiveSessions(AsyncCaptures):
 class AsyncLiveFace:
     """The face of a live session: frames go to it, and faces come back.
 
-    A line that breaks is mended with a new ticket; frames meanwhile are lost. ``ready`` is what the
+    A line that breaks is mended by ``connect``; frames meanwhile are lost. One task may send while
+    another receives. ``ready`` is what the
     session said when it was: the ``layout`` of its frames, ``expects``, its ``sliders`` and
     ``muscles``. ``takes`` and ``faults`` are what it said of takes and of frames that it could not
     use.
     """
 
-    def __init__(self, client: AsyncLiveSessions, session_id: str, *, watch: bool = False) -> None:
+    def __init__(
+        self,
+        session_id: str,
+        connect: AsyncConnect,
+        options: ClientOptions,
+        listen: Listener = unheard,
+    ) -> None:
         self.id = session_id
         self.ready: dict[str, Any] = {}
         self.takes: list[dict[str, Any]] = []
         self.faults: deque[dict[str, Any]] = deque(maxlen=MOST_FAULTS)
         self.preparing: dict[str, Any] = {}
-        self._client = client
-        self._options = client._options
-        self._watch = watch
+        self._connect = connect
+        self._options = options
+        self._listen = listen
         self._socket: AsyncSocket | None = None
+        self._mending = AsyncLock()
         self._number = 0
 
-    async def open(self, ticket: LiveTicket) -> None:
-        """Connect, and wait until the session is ready."""
-        self._socket = await self._client._open_socket(ticket.url)
+    async def open(self, socket: AsyncSocket) -> None:
+        """Take a first connection, and wait until the session is ready."""
+        self._socket = socket
         until = time.monotonic() + self._options.live_ready_s
         while not self.ready:
             if time.monotonic() > until:
@@ -188,12 +219,16 @@ class AsyncLiveFace:
 
     async def record(self, name: str) -> None:
         """Begin to record a take."""
-        await self._pass_on(json.dumps({"record": name}))
+        await self.tell({"record": name})
+
+    async def tell(self, wish: Mapping[str, Any]) -> None:
+        """Ask for something without waiting: ``record``, ``stop`` or ``end``."""
+        await self._pass_on(json.dumps(wish))
 
     async def stop(self, timeout: float = 30.0) -> dict[str, Any]:
         """End the take; return what the session says of it: name, file, frames, seconds."""
         known = len(self.takes)
-        await self._pass_on(json.dumps({"stop": True}))
+        await self.tell({"stop": True})
         until = time.monotonic() + timeout
         while len(self.takes) == known:
             if time.monotonic() > until:
@@ -211,10 +246,11 @@ class AsyncLiveFace:
 
     async def _take(self, timeout: float | None) -> LiveFrame | None:
         """Return the next message if it is a frame; words are noted."""
+        socket = self._connected()
         try:
-            message = await self._connected().receive(timeout)
+            message = await socket.receive(timeout)
         except ApiError as error:
-            await self._come_back(error)
+            await self._come_back(socket, error)
             return None
         if message is None:
             return None
@@ -225,6 +261,7 @@ class AsyncLiveFace:
 
     def _note(self, words: dict[str, Any]) -> None:
         kind = words.get("type")
+        self._listen(words)
         if kind == "ready":
             self.ready = words
         elif kind == "preparing":
@@ -238,27 +275,30 @@ class AsyncLiveFace:
             raise ApiError({"code": ENDED, "detail": detail})
 
     async def _pass_on(self, message: bytes | str) -> None:
+        socket = self._connected()
         try:
-            await self._connected().send(message)
+            await socket.send(message)
         except ApiError as error:
-            await self._come_back(error)
+            await self._come_back(socket, error)
 
     def _connected(self) -> AsyncSocket:
         if self._socket is None:
             raise ApiError({"code": ENDED, "detail": "the connection was closed here"})
         return self._socket
 
-    async def _come_back(self, error: ApiError) -> None:
+    async def _come_back(self, socket: AsyncSocket, error: ApiError) -> None:
         """Connect anew after a connection broke; raises an error that lasts."""
         is_broken = error.code == CLOSED and error.problem.get("close") not in FOR_GOOD
         if not is_broken and error.code != UNREACHABLE:
             raise error
-        await self.close()
-        backoff = Backoff(self._options)
-        while True:
-            try:
-                ticket = await self._client.live_ticket(self.id, watch=self._watch)
-                self._socket = await self._client._open_socket(ticket.url)
+        async with self._mending:
+            if self._socket is not socket:  # another task has mended it, or closed it
                 return
-            except ApiError as again:
-                await anyio.sleep(backoff.pause_if_transient(again))
+            with suppress(ApiError):
+                await socket.close()
+            backoff = Backoff(self._options)
+            while self._socket is socket:
+                try:
+                    self._socket = await self._connect()
+                except ApiError as again:
+                    await anyio.sleep(backoff.pause_if_transient(again))

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import ssl
-from collections.abc import Iterator
+import threading
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeAlias
 
 import anyio
 import httpx
@@ -100,6 +101,14 @@ class Socket:
     def close(self) -> None:
         """Close the connection."""
         self._connection.close()
+
+
+# What connects to a session, again and again: it has a new ticket each time
+AsyncConnect: TypeAlias = Callable[[], Awaitable[AsyncSocket]]
+Connect: TypeAlias = Callable[[], Socket]
+
+AsyncLock = anyio.Lock
+Lock = threading.Lock
 
 
 def _library(flavour: str) -> ModuleType:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -22,8 +22,8 @@ from myoface.client.live_frames import (
     pack_frame,
     read_frame,
 )
-from myoface.client.retry import Backoff
-from myoface.client.sockets import CLOSED, Socket, address_of, describe_proxy
+from myoface.client.retry import Backoff, ClientOptions
+from myoface.client.sockets import CLOSED, Connect, Lock, Socket, address_of, describe_proxy
 from myoface.client.sync_captures import Captures
 from myoface.errors import UNREACHABLE, ApiError
 from myoface.resources import Artifact, FromJob, Rig
@@ -33,6 +33,13 @@ ENDED = "client.ended"
 # key, a message that is too large
 FOR_GOOD = (1000, 4001, 4003, 1009)
 MOST_FAULTS = 100  # that are kept
+
+# Called with whatever a session says in words
+Listener = Callable[[dict[str, Any]], None]
+
+
+def unheard(_words: dict[str, Any], /) -> None:
+    """Let a session speak without listening."""
 
 
 class LiveSessions(Captures):
@@ -46,12 +53,13 @@ class LiveSessions(Captures):
         source: str = "weights",
         captures: Iterable[str | Artifact | FromJob] = (),
         options: dict[str, Any] | None = None,
+        listen: Listener = unheard,
     ) -> Iterator[LiveFace]:
         """Open a live session on a rig, and yield its face as soon as it is ready.
 
         ``source`` is what its frames are: weights, markers, points or landmarks; ``captures`` may
-        have a marker set. The session ends with the block, and its takes are files of the job of
-        the same id then.
+        have a marker set; ``listen`` is called with what the session says. The session ends with
+        the block, and its takes are files of the job of the same id then.
         """
         opened = self._create(
             "/v1/live",
@@ -61,20 +69,23 @@ class LiveSessions(Captures):
             **by_origin(captures),
             options=options,
         )
-        face = LiveFace(self, opened.id)
+        face = self._face(opened.id, False, listen)
         try:
-            face.open(opened)
+            face.open(self._open_socket(opened.url))
             yield face
         finally:
             face.close()
             self.end_live(opened.id)
 
     @contextmanager
-    def join_live(self, session_id: str, *, watch: bool = True) -> Iterator[LiveFace]:
+    def join_live(
+        self, session_id: str, *, watch: bool = True, listen: Listener = unheard
+    ) -> Iterator[LiveFace]:
         """Connect to a session that somebody opened, to ``watch`` it or in its station's place."""
-        face = LiveFace(self, session_id, watch=watch)
+        face = self._face(session_id, watch, listen)
         try:
-            face.open(self.live_ticket(session_id, watch=watch))
+            ticket = self.live_ticket(session_id, watch=watch)
+            face.open(self._open_socket(ticket.url))
             yield face
         finally:
             face.close()
@@ -96,6 +107,13 @@ class LiveSessions(Captures):
         response = self._request("DELETE", f"/v1/live/{session_id}", through=True)
         return LiveSession.read(response.json())
 
+    def _face(self, session_id: str, watch: bool, listen: Listener) -> LiveFace:
+        def connect() -> Socket:
+            ticket = self.live_ticket(session_id, watch=watch)
+            return self._open_socket(ticket.url)
+
+        return LiveFace(session_id, connect, self._options, listen)
+
     def _open_socket(self, url: str) -> Socket:
         proxy = describe_proxy(self._proxy)
         return Socket.open(address_of(self._url, url), self._authority, proxy)
@@ -104,27 +122,31 @@ class LiveSessions(Captures):
 class LiveFace:
     """The face of a live session: frames go to it, and faces come back.
 
-    A line that breaks is mended with a new ticket; frames meanwhile are lost. ``ready`` is what the
+    A line that breaks is mended by ``connect``; frames meanwhile are lost. One task may send while
+    another receives. ``ready`` is what the
     session said when it was: the ``layout`` of its frames, ``expects``, its ``sliders`` and
     ``muscles``. ``takes`` and ``faults`` are what it said of takes and of frames that it could not
     use.
     """
 
-    def __init__(self, client: LiveSessions, session_id: str, *, watch: bool = False) -> None:
+    def __init__(
+        self, session_id: str, connect: Connect, options: ClientOptions, listen: Listener = unheard
+    ) -> None:
         self.id = session_id
         self.ready: dict[str, Any] = {}
         self.takes: list[dict[str, Any]] = []
         self.faults: deque[dict[str, Any]] = deque(maxlen=MOST_FAULTS)
         self.preparing: dict[str, Any] = {}
-        self._client = client
-        self._options = client._options
-        self._watch = watch
+        self._connect = connect
+        self._options = options
+        self._listen = listen
         self._socket: Socket | None = None
+        self._mending = Lock()
         self._number = 0
 
-    def open(self, ticket: LiveTicket) -> None:
-        """Connect, and wait until the session is ready."""
-        self._socket = self._client._open_socket(ticket.url)
+    def open(self, socket: Socket) -> None:
+        """Take a first connection, and wait until the session is ready."""
+        self._socket = socket
         until = time.monotonic() + self._options.live_ready_s
         while not self.ready:
             if time.monotonic() > until:
@@ -184,12 +206,16 @@ class LiveFace:
 
     def record(self, name: str) -> None:
         """Begin to record a take."""
-        self._pass_on(json.dumps({"record": name}))
+        self.tell({"record": name})
+
+    def tell(self, wish: Mapping[str, Any]) -> None:
+        """Ask for something without waiting: ``record``, ``stop`` or ``end``."""
+        self._pass_on(json.dumps(wish))
 
     def stop(self, timeout: float = 30.0) -> dict[str, Any]:
         """End the take; return what the session says of it: name, file, frames, seconds."""
         known = len(self.takes)
-        self._pass_on(json.dumps({"stop": True}))
+        self.tell({"stop": True})
         until = time.monotonic() + timeout
         while len(self.takes) == known:
             if time.monotonic() > until:
@@ -207,10 +233,11 @@ class LiveFace:
 
     def _take(self, timeout: float | None) -> LiveFrame | None:
         """Return the next message if it is a frame; words are noted."""
+        socket = self._connected()
         try:
-            message = self._connected().receive(timeout)
+            message = socket.receive(timeout)
         except ApiError as error:
-            self._come_back(error)
+            self._come_back(socket, error)
             return None
         if message is None:
             return None
@@ -221,6 +248,7 @@ class LiveFace:
 
     def _note(self, words: dict[str, Any]) -> None:
         kind = words.get("type")
+        self._listen(words)
         if kind == "ready":
             self.ready = words
         elif kind == "preparing":
@@ -234,27 +262,30 @@ class LiveFace:
             raise ApiError({"code": ENDED, "detail": detail})
 
     def _pass_on(self, message: bytes | str) -> None:
+        socket = self._connected()
         try:
-            self._connected().send(message)
+            socket.send(message)
         except ApiError as error:
-            self._come_back(error)
+            self._come_back(socket, error)
 
     def _connected(self) -> Socket:
         if self._socket is None:
             raise ApiError({"code": ENDED, "detail": "the connection was closed here"})
         return self._socket
 
-    def _come_back(self, error: ApiError) -> None:
+    def _come_back(self, socket: Socket, error: ApiError) -> None:
         """Connect anew after a connection broke; raises an error that lasts."""
         is_broken = error.code == CLOSED and error.problem.get("close") not in FOR_GOOD
         if not is_broken and error.code != UNREACHABLE:
             raise error
-        self.close()
-        backoff = Backoff(self._options)
-        while True:
-            try:
-                ticket = self._client.live_ticket(self.id, watch=self._watch)
-                self._socket = self._client._open_socket(ticket.url)
+        with self._mending:
+            if self._socket is not socket:  # another task has mended it, or closed it
                 return
-            except ApiError as again:
-                time.sleep(backoff.pause_if_transient(again))
+            with suppress(ApiError):
+                socket.close()
+            backoff = Backoff(self._options)
+            while self._socket is socket:
+                try:
+                    self._socket = self._connect()
+                except ApiError as again:
+                    time.sleep(backoff.pause_if_transient(again))
