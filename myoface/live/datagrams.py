@@ -1,4 +1,4 @@
-"""Readings that come by UDP: from one address, anything else counted and never answered."""
+"""Frames that come by UDP: from one address, anything else counted and never answered."""
 
 from __future__ import annotations
 
@@ -8,9 +8,13 @@ from ipaddress import ip_address
 
 import anyio
 
-from myoface.live.readings import Reading, ReadingError
+from myoface.client import Timed
 
-Parse = Callable[[bytes], Reading | None]  # raises ReadingError for what is no packet of its kind
+Parse = Callable[[bytes], Timed | None]  # raises PacketError for what is no packet of its kind
+
+
+class PacketError(ValueError):
+    """What came is no frame."""
 
 
 @dataclass
@@ -23,7 +27,7 @@ class Counts:
 
 
 class Port:
-    """A UDP port that readings come to from ``allowed``.
+    """A UDP port that frames come to from ``allowed``.
 
     Without ``allowed`` it is the address that the first good packet is from.
     """
@@ -34,8 +38,8 @@ class Port:
         self.allowed = None if allowed is None else str(ip_address(allowed))
         self._parse = parse
 
-    async def readings(self, opened: Callable[[], None] = lambda: None) -> AsyncIterator[Reading]:
-        """Yield readings as they come, without an end; ``opened`` is called once there can be any.
+    async def frames(self, opened: Callable[[], None] = lambda: None) -> AsyncIterator[Timed]:
+        """Yield frames as they come, without an end; ``opened`` is called once there can be any.
 
         Raises OSError if the port is another program's.
         """
@@ -46,20 +50,20 @@ class Port:
             self.number = socket.extra(anyio.abc.SocketAttribute.local_port)
             opened()
             async for data, (address, _) in socket:
-                reading = self._read(data, address)
-                if reading is not None:
-                    yield reading
+                frame = self._read(data, address)
+                if frame is not None:
+                    yield frame
 
-    def _read(self, data: bytes, address: str) -> Reading | None:
+    def _read(self, data: bytes, address: str) -> Timed | None:
         if self.allowed is not None and address != self.allowed:
             self.counts.foreign += 1
             return None
         try:
-            reading = self._parse(data)
-        except ReadingError:
+            frame = self._parse(data)
+        except PacketError:
             self.counts.garbage += 1
             return None
         self.counts.good += 1
-        if reading is not None:
+        if frame is not None:
             self.allowed = address
-        return reading
+        return frame

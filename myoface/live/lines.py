@@ -12,38 +12,70 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping
+from math import isnan
 from typing import Any
 
-from myoface.live.readings import Reading, ReadingError
+from myoface.client import LiveFrame, Timed
+from myoface.live.datagrams import PacketError
 
 LONGEST = 8 << 20  # characters of a line
 CONTROLS = {"record": str, "stop": bool, "end": bool}
 
 
-def read_line(line: str) -> Reading | dict[str, Any]:
-    """Return the frame or the control in a line; raises :class:`ReadingError`."""
+def read_line(line: str) -> Timed | dict[str, Any]:
+    """Return the frame or the control in a line; raises :class:`PacketError`."""
     if len(line) > LONGEST:
-        raise ReadingError(f"a line has {LONGEST} characters at most")
+        raise PacketError(f"a line has {LONGEST} characters at most")
     try:
         said = json.loads(line)
     except (ValueError, RecursionError) as error:
-        raise ReadingError(f"this is not JSON: {error}") from error
+        raise PacketError(f"this is not JSON: {error}") from error
     if not isinstance(said, dict):
-        raise ReadingError("a line is an object: a frame or a control")
+        raise PacketError("a line is an object: a frame or a control")
     for name, form in CONTROLS.items():
         if name in said:
             if len(said) != 1 or not isinstance(said[name], form):
-                raise ReadingError(f"{name} is a control of its own, with a {form.__name__}")
+                raise PacketError(f"{name} is a control of its own, with a {form.__name__}")
             return said
     values = said.get("weights", said.get("values"))
     if not isinstance(values, dict | list):
-        raise ReadingError("a frame has weights by name, or values in the order of the rows")
+        raise PacketError("a frame has weights by name, or values in the order of the rows")
     seconds = said.get("seconds", time.monotonic())
     if isinstance(seconds, bool) or not isinstance(seconds, int | float):
-        raise ReadingError("seconds is a number")
-    return Reading(float(seconds), values)
+        raise PacketError("seconds is a number")
+    return Timed(float(seconds), values)
 
 
 def write_line(said: Mapping[str, Any]) -> str:
     """Return what a session said as a line."""
     return json.dumps(said, allow_nan=False, separators=(",", ":")) + "\n"
+
+
+def tell_frame(
+    frame: LiveFrame, ready: Mapping[str, Any], latency_ms: float | None
+) -> dict[str, Any]:
+    """Return a followed frame as JSON has it; what is not known is null.
+
+    ``ready`` is what the session said of its names.
+    """
+    arrays = frame.arrays
+    values = dict(zip(ready["sliders"], arrays["values"], strict=True))
+    pulls = zip(ready["muscles"], map(_known, arrays["contractions"]), strict=True)
+    return {
+        "type": "frame",
+        "number": frame.number,
+        "seconds": frame.seconds,
+        "latency_ms": latency_ms,
+        "solve_ms": _known(frame.solve_ms),
+        "error_mm": {"p50": _known(frame.error_p50_mm), "p95": _known(frame.error_p95_mm)},
+        "dropped": frame.dropped,
+        "held": frame.is_held,
+        "head": list(arrays["head"]),
+        "jaw": list(arrays["jaw"]),
+        "values": values,
+        "contractions": dict(pulls),
+    }
+
+
+def _known(value: float) -> float | None:
+    return None if isnan(value) else value

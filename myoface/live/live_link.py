@@ -11,7 +11,8 @@ from __future__ import annotations
 import struct
 from math import isfinite
 
-from myoface.live.readings import Reading, ReadingError
+from myoface.client import Timed
+from myoface.live.datagrams import PacketError
 
 PORT = 11111  # to which the app sends unless it is told another
 VERSION = 6
@@ -43,39 +44,39 @@ _LENGTH = struct.Struct(">i")
 _TIME = struct.Struct(">ifiiB")
 
 
-def read_packet(data: bytes) -> Reading | None:
+def read_packet(data: bytes) -> Timed | None:
     """Return the frame of a packet, None for one that the app sends while it sees no face.
 
-    Raises :class:`ReadingError` for anything else.
+    Raises :class:`PacketError` for anything else.
     """
     if not data or data[0] != VERSION:
-        raise ReadingError("this is no packet of Live Link Face, version 6")
+        raise PacketError("this is no packet of Live Link Face, version 6")
     place = _skip_name(data, 1)  # the device's
     place = _skip_name(data, place)  # the subject's
     try:
         frame, beyond, numerator, denominator, count = _TIME.unpack_from(data, place)
     except struct.error as error:
-        raise ReadingError("the packet ends early") from error
+        raise PacketError("the packet ends early") from error
     place += _TIME.size
     if count == 0 and place == len(data):
         return None
     if count != len(NAMES) or len(data) != place + 4 * count:
-        raise ReadingError(f"{len(NAMES)} values are expected, not {count}")
+        raise PacketError(f"{len(NAMES)} values are expected, not {count}")
     rate = numerator / denominator if denominator > 0 else 0.0
     if not (LEAST_RATE <= rate <= MOST_RATE and isfinite(beyond)):
-        raise ReadingError(f"{numerator} / {denominator} is no rate of frames")
+        raise PacketError(f"{numerator} / {denominator} is no rate of frames")
     values = struct.unpack_from(f">{count}f", data, place)
     if not all(abs(value) <= MOST for value in values):  # NaN is not
-        raise ReadingError("a value is no weight and no angle")
-    return Reading((frame + beyond) / rate, dict(zip(NAMES, values, strict=True)))
+        raise PacketError("a value is no weight and no angle")
+    return Timed((frame + beyond) / rate, dict(zip(NAMES, values, strict=True)))
 
 
 def _skip_name(data: bytes, place: int) -> int:
     """Return where a name ends; one that is too long or goes beyond the packet is refused."""
     if len(data) < place + _LENGTH.size:
-        raise ReadingError("the packet ends early")
+        raise PacketError("the packet ends early")
     (length,) = _LENGTH.unpack_from(data, place)
     end: int = place + _LENGTH.size + length
     if not 0 <= length <= LONGEST_NAME or end > len(data):
-        raise ReadingError(f"a name has {length} bytes")
+        raise PacketError(f"a name has {length} bytes")
     return end

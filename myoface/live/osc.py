@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from myoface.live.readings import ReadingError
+from myoface.live.datagrams import PacketError
 
 Argument = int | float | str | bytes | bool | None
 
@@ -36,19 +36,19 @@ class OscMessage(NamedTuple):
 
 
 def read_osc(data: bytes, deepest: int = DEEPEST) -> Iterator[OscMessage]:
-    """Yield the messages of a packet in their order; raises :class:`ReadingError`."""
+    """Yield the messages of a packet in their order; raises :class:`PacketError`."""
     if not data.startswith(BUNDLE):
         yield _read_message(data)
         return
     if deepest == 0:
-        raise ReadingError(f"bundles lie {DEEPEST} deep at most")
+        raise PacketError(f"bundles lie {DEEPEST} deep at most")
     place = len(BUNDLE) + len(AT_ONCE)
     if len(data) < place:
-        raise ReadingError("the bundle ends early")
+        raise PacketError("the bundle ends early")
     while place < len(data):
         length, place = _number(data, place, _INT)
         if not 0 < length <= len(data) - place:
-            raise ReadingError(f"a part of a bundle has {length} bytes")
+            raise PacketError(f"a part of a bundle has {length} bytes")
         yield from read_osc(data[place : place + int(length)], deepest - 1)
         place += int(length)
 
@@ -56,12 +56,12 @@ def read_osc(data: bytes, deepest: int = DEEPEST) -> Iterator[OscMessage]:
 def _read_message(data: bytes) -> OscMessage:
     address, place = _text(data, 0)
     if not address.startswith("/"):
-        raise ReadingError("an address begins with /")
+        raise PacketError("an address begins with /")
     if place == len(data):  # old senders leave the tags of no arguments out
         return OscMessage(address, ())
     tags, place = _text(data, place)
     if not tags.startswith(","):
-        raise ReadingError("tags of types begin with a comma")
+        raise PacketError("tags of types begin with a comma")
     found: list[Argument] = []
     for tag in tags[1:]:
         argument: Argument
@@ -74,10 +74,10 @@ def _read_message(data: bytes) -> OscMessage:
         elif tag == "b":
             argument, place = _blob(data, place)
         else:
-            raise ReadingError(f"arguments of type {tag!r} are not read")
+            raise PacketError(f"arguments of type {tag!r} are not read")
         found.append(argument)
     if place != len(data):
-        raise ReadingError(f"{len(data) - place} bytes follow the message")
+        raise PacketError(f"{len(data) - place} bytes follow the message")
     return OscMessage(address, tuple(found))
 
 
@@ -85,24 +85,24 @@ def _number(data: bytes, place: int, form: struct.Struct) -> tuple[int | float, 
     try:
         return form.unpack_from(data, place)[0], place + form.size
     except struct.error as error:
-        raise ReadingError("the message ends early") from error
+        raise PacketError("the message ends early") from error
 
 
 def _text(data: bytes, place: int) -> tuple[str, int]:
     """Return a text, which ends with a zero and fills its last four bytes, and where it ends."""
     end = data.find(b"\0", place)
     if end < 0:
-        raise ReadingError("a text has no end")
+        raise PacketError("a text has no end")
     try:
         return data[place:end].decode(), _aligned(end + 1, data)
     except UnicodeDecodeError as error:
-        raise ReadingError("a text is not UTF-8") from error
+        raise PacketError("a text is not UTF-8") from error
 
 
 def _blob(data: bytes, place: int) -> tuple[bytes, int]:
     length, place = _number(data, place, _INT)
     if not 0 <= length <= len(data) - place:
-        raise ReadingError(f"a blob has {length} bytes")
+        raise PacketError(f"a blob has {length} bytes")
     end = place + int(length)
     return data[place:end], _aligned(end, data)
 
@@ -111,7 +111,7 @@ def _aligned(place: int, data: bytes) -> int:
     """Return the next multiple of four, which is in or just behind the data."""
     place += -place % 4
     if place > len(data):
-        raise ReadingError("the message ends early")
+        raise PacketError("the message ends early")
     return place
 
 

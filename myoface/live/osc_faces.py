@@ -16,12 +16,13 @@ p50 p95 held``, with the running error in mm.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from math import isfinite, isnan
+from typing import Any
 
-from myoface.live.faces import Face
+from myoface.client import LiveFrame, Timed
+from myoface.live.datagrams import PacketError
 from myoface.live.osc import Double, OscMessage, read_osc, write_osc
-from myoface.live.readings import Reading, ReadingError, Value
 
 VALUE = "/myoface/value/"
 POINT = "/myoface/point/"
@@ -35,12 +36,12 @@ class OscReader:
     """Gathers what comes until a frame is whole."""
 
     def __init__(self) -> None:
-        self._values: dict[str, Value] = {}
+        self._values: dict[str, float | list[float]] = {}
 
-    def read(self, data: bytes) -> Reading | None:
+    def read(self, data: bytes) -> Timed | None:
         """Return the frame that a packet ends, None if it ends none.
 
-        Messages at other addresses are passed over. Raises :class:`ReadingError` for what is no
+        Messages at other addresses are passed over. Raises :class:`PacketError` for what is no
         OSC, or arguments of another form.
         """
         whole = None
@@ -53,19 +54,19 @@ class OscReader:
             elif address == VMC_VALUE:
                 self._take(str(arguments[0]) if arguments else "", arguments[1:], 1)
             elif address in (FRAME, VMC_FRAME) and self._values:
-                whole = Reading(_seconds(message), self._values)
+                whole = Timed(_seconds(message), self._values)
                 self._values = {}
         return whole
 
     def _take(self, name: str, arguments: tuple[object, ...], width: int) -> None:
         numbers = [float(each) for each in arguments if type(each) in (int, float)]  # type: ignore[arg-type]
         if not name or len(arguments) != width or len(numbers) != width:
-            raise ReadingError(f"{name or 'a value'} needs {width} numbers")
+            raise PacketError(f"{name or 'a value'} needs {width} numbers")
         if not all(map(isfinite, numbers)):
-            raise ReadingError(f"{name} is no number")
+            raise PacketError(f"{name} is no number")
         if len(self._values) >= MOST_NAMES:
             self._values = {}
-            raise ReadingError(f"a frame has {MOST_NAMES} values at most")
+            raise PacketError(f"a frame has {MOST_NAMES} values at most")
         self._values[name] = numbers[0] if width == 1 else numbers
 
 
@@ -74,20 +75,25 @@ def _seconds(message: OscMessage) -> float:
     if not said:
         return time.monotonic()
     if not isinstance(said[0], int | float) or not isfinite(said[0]):
-        raise ReadingError("a frame's time is in seconds")
+        raise PacketError("a frame's time is in seconds")
     return float(said[0])
 
 
-def write_face(face: Face) -> Iterator[bytes]:
-    """Yield the packets of a followed frame."""
-    messages = [OscMessage(VALUE + name, (value,)) for name, value in face.values.items()]
+def write_face(frame: LiveFrame, ready: Mapping[str, Any]) -> Iterator[bytes]:
+    """Yield the packets of a followed frame; ``ready`` is what the session said of its names."""
+    values, pulls = frame.arrays["values"], frame.arrays["contractions"]
+    messages = [
+        OscMessage(VALUE + name, (value,))
+        for name, value in zip(ready["sliders"], values, strict=True)
+    ]
     messages += [
         OscMessage(f"/myoface/contraction/{name.replace(' ', '_')}", (value,))
-        for name, value in face.contractions.items()
+        for name, value in zip(ready["muscles"], pulls, strict=True)
         if not isnan(value)
     ]
-    messages.append(OscMessage("/myoface/jaw", tuple(face.jaw)))
-    messages.append(OscMessage("/myoface/head", tuple(face.head)))
-    said = (face.number, Double(face.seconds), *face.error_mm, int(face.is_held))
+    messages.append(OscMessage("/myoface/jaw", tuple(frame.arrays["jaw"])))
+    messages.append(OscMessage("/myoface/head", tuple(frame.arrays["head"])))
+    errors = frame.error_p50_mm, frame.error_p95_mm
+    said = (frame.number, Double(frame.seconds), *errors, int(frame.is_held))
     messages.append(OscMessage(FRAME, said))
     yield from write_osc(messages)

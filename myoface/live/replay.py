@@ -9,7 +9,7 @@ from pathlib import Path
 
 import anyio
 
-from myoface.live.readings import Reading
+from myoface.client import Timed
 
 BEGIN = 4096  # bytes in which a recording of Live Link Face names its columns
 CLOCK, WEIGHT = b"timecode", b"jawopen"
@@ -21,7 +21,7 @@ class Replay:
 
     source: str
     rate: float
-    frames: Iterator[Reading]
+    frames: Iterator[Timed]
 
     @classmethod
     def open(cls, path: Path, rate: float = 60.0) -> Replay:
@@ -45,7 +45,7 @@ class Replay:
         take = read_live_link(path)
         times = take.times.tolist()
         rows = zip(times, take.weights.tolist(), strict=True)
-        frames = (Reading(at, dict(zip(ARKIT_NAMES, row, strict=True))) for at, row in rows)
+        frames = (Timed(at, dict(zip(ARKIT_NAMES, row, strict=True))) for at, row in rows)
         rate = (len(times) - 1) / times[-1] if len(times) > 1 else 60.0
         return cls("weights", rate, frames)
 
@@ -58,7 +58,7 @@ class Replay:
         take = read_take(path)
         known = take.rate if np.isfinite(take.rate) else rate
         frames = (
-            Reading(number / known, dict(zip(take.labels, points.tolist(), strict=True)))
+            Timed(number / known, dict(zip(take.labels, points.tolist(), strict=True)))
             for number, points in enumerate(take.positions)
         )
         return cls("markers", known, frames)
@@ -69,17 +69,17 @@ class Replay:
 
         array = map_array(path)
         frames = (
-            Reading(number / rate, points.astype("<f4").tobytes())
+            Timed(number / rate, points.astype("<f4").tobytes())
             for number, points in enumerate(array)
         )
         return cls("points", rate, frames)
 
 
-async def play(frames: Iterator[Reading]) -> AsyncIterator[Reading]:
+async def play(frames: Iterator[Timed]) -> AsyncIterator[Timed]:
     """Yield frames when it is their time, counted from the first."""
     began: float | None = None
-    for reading in frames:
+    for frame in frames:
         now = time.monotonic()
-        began = now - reading.seconds if began is None else began
-        await anyio.sleep(max(0.0, began + reading.seconds - now))
-        yield reading
+        began = now - frame.seconds if began is None else began
+        await anyio.sleep(max(0.0, began + frame.seconds - now))
+        yield frame

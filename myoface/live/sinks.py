@@ -6,8 +6,8 @@ import socket
 from collections.abc import Mapping
 from typing import IO, Any
 
-from myoface.live.faces import Face, tell_face
-from myoface.live.lines import write_line
+from myoface.client import LiveFrame
+from myoface.live.lines import tell_frame, write_line
 from myoface.live.osc_faces import write_face
 
 
@@ -21,18 +21,21 @@ class OscSink:
         self._address: tuple[Any, ...] = found[0][4]
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
+        self._ready: Mapping[str, Any] = {}
         self.lost = 0
 
-    def face(self, face: Face, latency_ms: float | None) -> None:  # noqa: ARG002
+    def face(self, frame: LiveFrame, latency_ms: float | None) -> None:  # noqa: ARG002
         """Send a face."""
-        for packet in write_face(face):
+        for packet in write_face(frame, self._ready):
             try:
                 self._socket.sendto(packet, self._address)
             except OSError:  # nobody listens there, or the network is full
                 self.lost += 1
 
     def said(self, message: Mapping[str, Any]) -> None:
-        """Send nothing: programs that OSC drives want faces alone."""
+        """Take note of names; programs that OSC drives want faces alone."""
+        if message["type"] == "ready":
+            self._ready = message
 
     def close(self) -> None:
         """Close the socket."""
@@ -43,14 +46,17 @@ class LineSink:
     """Writes what the session says to a stream, a line each."""
 
     def __init__(self, stream: IO[str]) -> None:
+        self._ready: Mapping[str, Any] = {}
         self._stream = stream
 
-    def face(self, face: Face, latency_ms: float | None) -> None:
+    def face(self, frame: LiveFrame, latency_ms: float | None) -> None:
         """Write a face."""
-        self._write(tell_face(face, latency_ms))
+        self._write(tell_frame(frame, self._ready, latency_ms))
 
     def said(self, message: Mapping[str, Any]) -> None:
         """Write a message as the session said it."""
+        if message["type"] == "ready":
+            self._ready = message
         self._write(message)
 
     def _write(self, said: Mapping[str, Any]) -> None:

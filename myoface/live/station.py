@@ -8,39 +8,31 @@ from __future__ import annotations
 
 import time
 from collections import Counter, OrderedDict
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from math import nan
 from typing import Any, Protocol
 
 import anyio
 
-from myoface.live.faces import Face
-from myoface.live.readings import Expected, Reading, ReadingError
+from myoface.client import LiveFrame, Timed
+from myoface.client.aio_live import ENDED, AsyncLiveFace
+from myoface.errors import ApiError
 
-Given = Reading | Mapping[str, Any]  # a frame, or a control that a source asks for
+Given = Timed | Mapping[str, Any]  # a frame, or a wish such as {"record": "take 1"}
 
-
-class Session(Protocol):
-    """A session that follows frames: one of a service, or one in this process."""
-
-    async def send(self, number: int, seconds: float, numbers: bytes) -> None:
-        """Give it a frame."""
-
-    async def control(self, said: Mapping[str, Any]) -> None:
-        """Tell it to record, to stop recording, or to end."""
-
-    def received(self) -> AsyncIterator[Face | dict[str, Any]]:
-        """Yield what it says, the ready message before any face, until it has ended."""
+OVER = (ENDED, "live.over")  # errors that tell the session's end
 
 
 class Sink(Protocol):
     """Where followed faces go."""
 
-    def face(self, face: Face, latency_ms: float | None) -> None:
+    def face(self, frame: LiveFrame, latency_ms: float | None) -> None:
         """Take a face; the latency is from sending its frame to now."""
 
     def said(self, message: Mapping[str, Any]) -> None:
-        """Take another message of the session's."""
+        """Take what the session says in words: the ready message comes before any face."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +40,13 @@ class StationOptions:
     """How long a station waits; in s."""
 
     last_s: float = 2.0  # for the face of the last frame
-    end_s: float = 30.0  # for a session to end, with its take written
+    take_s: float = 30.0  # for a take to be written
+    pause_s: float = 0.02  # between two looks at these
     most_sent: int = 4096  # frames whose faces are waited for
     latency_step_ms: float = 0.1  # latencies are told to this
+
+
+STATION = StationOptions()
 
 
 @dataclass
@@ -61,171 +57,192 @@ class Tally:
     followed: int = 0
     dropped_here: int = 0  # before they were sent
     dropped: int = 0  # by the session, that it said
-    refused: int = 0  # frames of another form than the session's
-    first_refusal: str | None = None
-    error_mm: tuple[float, float] = (float("nan"), float("nan"))
+    refused: int = 0  # frames of no form that could be sent
+    faults: int = 0  # that the session told
+    first_fault: str | None = None  # of either
+    error_mm: tuple[float, float] = (nan, nan)  # running error, p50 and p95
     takes: list[Mapping[str, Any]] = field(default_factory=list)
-    ended: str | None = None
+    ended: str | None = None  # why the session did, where the station did not end it
     latencies: Counter[int] = field(default_factory=Counter)  # by steps
 
-    def latency_ms(self, share: float, options: StationOptions) -> float | None:
-        """Return the latency in ms that this share of faces was within; None without any."""
+    def latency_ms(self, share: float, options: StationOptions = STATION) -> float:
+        """Return the latency in ms that this share of faces was within; NaN without any."""
         wanted = share * self.latencies.total()
         passed = 0
         for step in sorted(self.latencies):
             passed += self.latencies[step]
             if passed >= wanted:
                 return step * options.latency_step_ms
-        return None
+        return nan
+
+    def fault(self, message: str) -> None:
+        """Note what was wrong with a frame."""
+        self.first_fault = self.first_fault or message
 
 
 class Station:
     """One run of a session; ``tally`` says what has become of it so far.
 
-    ``waits`` is for a source whose frames can wait: each is sent.
+    ``waits`` is for a source whose frames can wait: each is sent. :meth:`said` is the listener of
+    the face that is run.
     """
 
     def __init__(
         self,
-        session: Session,
         sinks: Sequence[Sink],
         *,
         record: str | None = None,
         waits: bool = False,
-        options: StationOptions = StationOptions(),
+        options: StationOptions = STATION,
     ) -> None:
         self.tally = Tally()
-        self._session = session
         self._sinks = sinks
         self._record = record
         self._waits = waits
         self._options = options
         self._sent: OrderedDict[int, float] = OrderedDict()  # number -> when, by our clock
-        self._newest: Given | None = None
         self._is_recording = False
         self._stopping = anyio.Event()
-        self._ready = anyio.Event()
-        self._expected: Expected | None = None
 
     def stop(self) -> None:
         """End the run as if the source had ended: the take is stored."""
         self._stopping.set()
 
-    async def run(self, source: AsyncIterator[Given]) -> Tally:
+    def said(self, message: dict[str, Any]) -> None:
+        """Take what the session says in words."""
+        kind = message.get("type")
+        if kind == "take":
+            self._is_recording = False
+            self.tally.takes.append(message)
+        elif kind == "recording":
+            self._is_recording = True
+        elif kind == "fault":
+            self.tally.faults += 1
+            self.tally.fault(str(message.get("message")))
+        elif kind == "ended":
+            self.tally.ended = str(message.get("reason"))
+        for sink in self._sinks:
+            sink.said(message)
+
+    async def run(self, face: AsyncLiveFace, source: AsyncIterator[Given]) -> Tally:
         """Follow what the source yields until it or the session ends; returns the tally.
 
-        Raises what the session raises.
+        Raises what the source raises, and :class:`ApiError` where the line breaks for good.
         """
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(self._give_and_end, source, tasks.cancel_scope)
-            async for message in self._session.received():
-                if isinstance(message, Face):
-                    self._take_face(message)
-                else:
-                    self._take(message)
-                if self.tally.ended is not None:
-                    break
-            tasks.cancel_scope.cancel()
+        with _alone():
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(self._receive, face, tasks.cancel_scope)
+                await self._give_all(face, source)
+                await self._finish(face)
+                tasks.cancel_scope.cancel()
         return self.tally
 
-    async def _give_and_end(self, source: AsyncIterator[Given], scope: anyio.CancelScope) -> None:
-        await self._ready.wait()
+    async def _receive(self, face: AsyncLiveFace, scope: anyio.CancelScope) -> None:
+        """Take faces until the session ends."""
+        try:
+            while True:
+                frame = await face.receive()
+                if frame is not None:
+                    self._take(frame)
+        except ApiError as error:
+            if error.code not in OVER:
+                raise
+        scope.cancel()
+
+    async def _give_all(self, face: AsyncLiveFace, source: AsyncIterator[Given]) -> None:
+        """Send what the source yields until it ends, or the station is stopped."""
         if self._record is not None:
-            await self._tell({"record": self._record})
+            await face.tell({"record": self._record})
+            self._is_recording = True
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._stop_at, tasks.cancel_scope)
             if self._waits:
                 async for given in source:
-                    await self._give(given)
+                    await self._give(face, given)
             else:
-                await self._give_newest(source)
+                await self._give_newest(face, source)
             tasks.cancel_scope.cancel()
-        with anyio.move_on_after(self._options.last_s):
-            while self._sent:
-                await anyio.sleep(self._options.last_s / 100)
-        if self._is_recording:
-            await self._tell({"stop": True})
-        await self._tell({"end": True})
-        await anyio.sleep(self._options.end_s)
-        scope.cancel()
 
     async def _stop_at(self, scope: anyio.CancelScope) -> None:
         await self._stopping.wait()
         scope.cancel()
 
-    async def _give_newest(self, source: AsyncIterator[Given]) -> None:
+    async def _give_newest(self, face: AsyncLiveFace, source: AsyncIterator[Given]) -> None:
         """Send the newest of what comes while another is on its way."""
+        newest: Given | None = None
         came = anyio.Event()
         is_over = False
 
         async def read() -> None:
-            nonlocal came, is_over
+            nonlocal newest, is_over
             async for given in source:
-                if isinstance(self._newest, Reading):
-                    self.tally.dropped_here += 1
-                self._newest = given
+                self.tally.dropped_here += newest is not None
+                newest = given
                 came.set()
             is_over = True
             came.set()
 
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(read)
-            while not is_over or self._newest is not None:
+            while not is_over or newest is not None:
                 await came.wait()
                 came = anyio.Event()
-                given, self._newest = self._newest, None
+                given, newest = newest, None
                 if given is not None:
-                    await self._give(given)
+                    await self._give(face, given)
 
-    async def _give(self, given: Given) -> None:
-        if not isinstance(given, Reading):
-            await self._tell(given)
+    async def _give(self, face: AsyncLiveFace, given: Given) -> None:
+        if not isinstance(given, Timed):
+            await face.tell(given)
+            if "end" in given:
+                self.stop()
             return
-        assert self._expected is not None, "the session is ready"
+        began = time.monotonic()
         try:
-            numbers = self._expected.numbers(given)
-        except ReadingError as error:
+            number = await face.send(given.numbers, given.seconds)
+        except (TypeError, ValueError, OverflowError) as error:
             self.tally.refused += 1
-            self.tally.first_refusal = self.tally.first_refusal or str(error)
+            self.tally.fault(str(error))
             return
-        number = self.tally.sent
         self.tally.sent += 1
-        self._sent[number] = time.monotonic()
+        self._sent[number] = began
         if len(self._sent) > self._options.most_sent:
             self._sent.popitem(last=False)
-        await self._session.send(number, given.seconds, numbers)
 
-    async def _tell(self, control: Mapping[str, Any]) -> None:
-        if "record" in control:
-            self._is_recording = True
-        elif "stop" in control:
-            self._is_recording = False
-        elif "end" in control:
-            self.stop()
-        await self._session.control(control)
+    async def _finish(self, face: AsyncLiveFace) -> None:
+        """Wait for the last face, and for the take to be written."""
+        options = self._options
+        with anyio.move_on_after(options.last_s):
+            while self._sent:
+                await anyio.sleep(options.pause_s)
+        if self._is_recording:
+            await face.tell({"stop": True})
+        with anyio.move_on_after(options.take_s):
+            while self._is_recording:
+                await anyio.sleep(options.pause_s)
 
-    def _take_face(self, face: Face) -> None:
-        at = self._sent.get(face.number)
-        latency = None if at is None else 1e3 * (time.monotonic() - at)
-        while self._sent and next(iter(self._sent)) <= face.number:  # older ones were dropped
-            self._sent.popitem(last=False)
+    def _take(self, frame: LiveFrame) -> None:
         tally = self.tally
+        at = self._sent.get(frame.number)
+        latency = None if at is None else 1e3 * (time.monotonic() - at)
+        while self._sent and next(iter(self._sent)) <= frame.number:  # older ones were dropped
+            self._sent.popitem(last=False)
         tally.followed += 1
-        tally.dropped = face.dropped
-        tally.error_mm = face.error_mm
+        tally.dropped = frame.dropped
+        tally.error_mm = frame.error_p50_mm, frame.error_p95_mm
         if latency is not None:
             tally.latencies[round(latency / self._options.latency_step_ms)] += 1
         for sink in self._sinks:
-            sink.face(face, latency)
+            sink.face(frame, latency)
 
-    def _take(self, message: dict[str, Any]) -> None:
-        kind = message.get("type")
-        if kind == "ready":
-            self._expected = Expected.of(message)
-            self._ready.set()
-        elif kind == "take":
-            self.tally.takes.append(message)
-        elif kind == "ended":
-            self.tally.ended = str(message.get("reason", ""))
-        for sink in self._sinks:
-            sink.said(message)
+
+@contextmanager
+def _alone() -> Iterator[None]:
+    """Raise the first error of tasks as it is, not in a group."""
+    try:
+        yield
+    except BaseExceptionGroup as group:
+        error: BaseException = group
+        while isinstance(error, BaseExceptionGroup):
+            error = error.exceptions[0]
+        raise error from group
