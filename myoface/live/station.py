@@ -108,6 +108,11 @@ class Station:
         """End the run as if the source had ended: the take is stored."""
         self._stopping.set()
 
+    @property
+    def is_stopping(self) -> bool:
+        """Whether it was stopped."""
+        return self._stopping.is_set()
+
     def said(self, message: dict[str, Any]) -> None:
         """Take what the session says in words."""
         kind = message.get("type")
@@ -129,7 +134,7 @@ class Station:
 
         Raises what the source raises, and :class:`ApiError` where the line breaks for good.
         """
-        with _alone():
+        with alone():
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(self._receive, face, tasks.cancel_scope)
                 await self._give_all(face, source)
@@ -237,7 +242,7 @@ class Station:
 
 
 @contextmanager
-def _alone() -> Iterator[None]:
+def alone() -> Iterator[None]:
     """Raise the first error of tasks as it is, not in a group."""
     try:
         yield
