@@ -28,6 +28,7 @@ from service.store.database import Store, clock
 from service.store.models import Job
 from solver.kinds.live_channel import Channel, ChannelClosedError
 from solver.kinds.live_messages import FollowedFrame, Message, MessageError
+from solver.kinds.live_session import VIEW_FILE
 
 RESUME = Message(b'{"resume": true}', is_text=True)
 
@@ -75,6 +76,13 @@ class _Inbox:
             self.frames -= 1
             self.dropped += 1
 
+    def _count(self, sent: Sent) -> None:
+        """Count what a station sent that has not come here."""
+        if sent.station != self.station:
+            self.station, self.number = sent.station, 0
+        self.dropped += max(sent.number - self.number - 1, 0)
+        self.number = sent.number
+
     def take(self) -> Sent:
         """Return the message that is next."""
         sent = self.waiting.popleft()
@@ -110,7 +118,7 @@ class Bridge:
         self._unsent: list[Message] = []  # words that the broker has yet to get
         self._is_told = False  # whether it has those that are to be kept
         self._kept = 0.0  # when it was told to keep them
-        self._takes: list[str] = []
+        self._left: list[str] = []
         self._threads = [
             threading.Thread(target=work, name=f"live-{work.__name__.strip('_')}", daemon=True)
             for work in (self._read, self._pass_in, self._pass_out)
@@ -135,9 +143,9 @@ class Bridge:
         for client in (self._reading, self._writing):
             client.close()
 
-    def takes(self) -> list[str]:
-        """Return the names of files of takes that have been recorded so far."""
-        return list(self._takes)
+    def left(self) -> list[str]:
+        """Return the names of files that are there by now: takes, and what a page draws by."""
+        return list(self._left)
 
     def _read(self) -> None:
         """Read what the station sends, from the broker."""
@@ -230,10 +238,11 @@ class Bridge:
             self._told[kind] = words.data
         if kind == "ready":
             self._told.pop("preparing", None)
+            self._left.append(VIEW_FILE)
         if kind == "take":
             self._told.pop("recording", None)
             if isinstance(file := said.get("file"), str):
-                self._takes.append(file)
+                self._left.append(file)
         self._is_told = False
 
     def _count(self, message: Message) -> Message:

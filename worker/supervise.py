@@ -218,7 +218,7 @@ class Supervisor:
         news.steps.extend(process.steps())
         news.lines.extend(process.lines())
         if self._bridge is not None:
-            folder.keep(self._bridge.takes())
+            folder.keep(self._bridge.left())
         try:
             self._check_size(claim, folder)
             news.chunks.extend(folder.new_frames(self._store.files))

@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from typing import Annotated
 
 from anyio import to_thread
-from fastapi import APIRouter, Depends, Query, Response, WebSocket
+from fastapi import APIRouter, Depends, Query, Request, Response, WebSocket
 from sqlalchemy.exc import OperationalError
 
 from service import paging
@@ -16,6 +16,7 @@ from service.dependencies import (
     Limit,
     ReadsDep,
     ReadSession,
+    ReadStore,
     ReceivingStore,
     SettingsDep,
     WriteSession,
@@ -28,12 +29,22 @@ from service.jobs import repository as jobs
 from service.live import service
 from service.live.broker import AWAY, LiveBroker, unreachable
 from service.live.relay import Connection, RelayOptions
-from service.live.schemas import NewSession, OpenedSession, SessionView, TicketOrder, TicketView
+from service.live.schemas import (
+    NewSession,
+    OpenedSession,
+    Recording,
+    SessionView,
+    TicketOrder,
+    TicketView,
+)
 from service.live.tickets import Ticket, Tickets, address
 from service.queue.states import State
 from service.records.audit import record
+from service.rigs.download import StoredArtifact, send
+from service.rigs.repository import artifact_of_job
 from service.schemas import Id, Page
 from service.store.models import Job
+from solver.kinds.live_session import VIEW_FILE
 
 router = APIRouter(prefix="/v1/live", tags=["live"])
 
@@ -128,6 +139,46 @@ async def end(session_id: Id, store: ReceivingStore, who: Writer, broker: Broker
             return SessionView.of(service.get(session, session_id))
 
     return await to_thread.run_sync(finish)
+
+
+@router.put(
+    "/{session_id}/recording",
+    status_code=202,
+    summary="Record a take of a live session",
+    responses=problems(404, 409, 422, 503),
+)
+async def begin_take(
+    session_id: Id, take: Recording, store: ReceivingStore, _: Writer, broker: BrokerDep
+) -> Recording:
+    """Have a session record a take; it says `recording`, or a `fault`, to all who are connected."""
+    await service.tell(store, broker, session_id, {"record": take.name})
+    return take
+
+
+@router.delete(
+    "/{session_id}/recording",
+    status_code=202,
+    summary="End a take of a live session",
+    responses=problems(404, 409, 422, 503),
+)
+async def end_take(session_id: Id, store: ReceivingStore, _: Writer, broker: BrokerDep) -> None:
+    """Have a session end its take; it says `take` to all who are connected."""
+    await service.tell(store, broker, session_id, {"stop": True})
+
+
+@router.get(
+    "/{session_id}/view",
+    response_class=Response,
+    summary="Download what a live session is drawn by",
+    responses=problems(404, 422),
+)
+def view(session_id: Id, session: ReadSession, store: ReadStore, request: Request) -> Response:
+    """Download the shapes of a session's skin, whose amounts its frames have.
+
+    They are there a moment after the session is ready: docs/reference/live.md has their format.
+    """
+    artifact = artifact_of_job(session, service.get(session, session_id).id, VIEW_FILE)
+    return send(StoredArtifact.of(artifact, store), request)
 
 
 @router.websocket("/{session_id}/frames")

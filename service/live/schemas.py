@@ -47,6 +47,14 @@ class TicketOrder(RequestBody):
     )
 
 
+class Recording(RequestBody):
+    """A take that is to be recorded."""
+
+    name: str = Field(
+        min_length=1, max_length=80, description="of the take; its file is called after it"
+    )
+
+
 class TicketView(BaseModel):
     """A ticket: it opens one connection, once, until ``expires_at``."""
 

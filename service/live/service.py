@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import time
+from collections.abc import Mapping
 from typing import Any
 
 from anyio import sleep, to_thread
@@ -12,7 +14,7 @@ from service.errors import Problem, not_found
 from service.jobs import repository as jobs
 from service.jobs import service
 from service.jobs.schemas import NewJob
-from service.live.broker import AWAY, LiveBroker
+from service.live.broker import AWAY, LiveBroker, unreachable
 from service.live.schemas import NewSession
 from service.queue import table
 from service.queue.states import FINAL, State
@@ -95,7 +97,7 @@ async def end(store: Store, broker: LiveBroker, session_id: str) -> bool:
         return False
     if found is State.RUNNING:
         try:
-            await broker.tell(Names.of(session_id), Sent(END, 1, SERVICE, is_frame=False))
+            await broker.tell(Names.of(session_id), _own(END))
         except AWAY:
             found = State.QUEUED  # nobody can tell it
     until = time.monotonic() + ENDS_WITHIN
@@ -105,6 +107,25 @@ async def end(store: Store, broker: LiveBroker, session_id: str) -> bool:
     if found not in FINAL:
         await to_thread.run_sync(cancel)
     return True
+
+
+async def tell(store: Store, broker: LiveBroker, session_id: str, wish: Mapping[str, Any]) -> None:
+    """Ask something of an open session, whose answer all who are connected to it hear."""
+
+    def require() -> None:
+        with store.read() as session:
+            require_open(session, session_id)
+
+    await to_thread.run_sync(require)
+    try:
+        await broker.tell(Names.of(session_id), _own(Message(json.dumps(wish).encode(), True)))
+    except AWAY as error:
+        raise unreachable() from error
+
+
+def _own(message: Message) -> Sent:
+    """Return a message of the service's, which counts with none of a station's."""
+    return Sent(message, 0, SERVICE, is_frame=False)
 
 
 def listed(rig_id: str | None, states: list[State] | None) -> list[Any]:

@@ -49,6 +49,7 @@ class Names(NamedTuple):
 class Sent(NamedTuple):
     """A message of a station's: which one it is of its connection, counted before any is dropped.
 
+    One of the service's own has the number 0.
     A message that is no ``is_frame`` is never dropped for a newer one.
     """
 

@@ -11,6 +11,8 @@ from pydantic import Field
 
 from solver.kinds.kind import JobOptions, Kind
 
+VIEW_FILE = "live_view.bin"  # the shapes that a page draws a session's frames by
+
 Source = Literal["markers", "weights", "points", "landmarks"]
 
 

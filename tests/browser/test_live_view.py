@@ -45,7 +45,7 @@ class Session:
         self.basis = place.sample.basis.astype(np.float16)
         self.shapes = len(self.basis)
         self.view = view
-        self.said: list[dict[str, Any]] = []  # by the page
+        self.asked: list[tuple[str, Any]] = []  # of recording, by the page
         self.sockets: list[Any] = []
         self.tickets: list[dict[str, Any]] = []
         write_container(view, {}, {"basis": self.basis})
@@ -65,6 +65,7 @@ class Session:
         )
         page.route(f"**/v1/live/{SESSION}/tickets", self._give_ticket)
         page.route(f"**/v1/live/{SESSION}/view", lambda route: route.fulfill(path=self.view))
+        page.route(f"**/v1/live/{SESSION}/recording", self._record)
         page.route_web_socket(re.compile(f"/v1/live/{SESSION}/frames"), self._open)
 
     def tell(self, said: dict[str, Any]) -> None:
@@ -97,9 +98,13 @@ class Session:
         url = f"/v1/live/{SESSION}/frames?ticket=ticket-{len(self.tickets)}"
         route.fulfill(json={"url": url}, status=201)
 
+    def _record(self, route: Any) -> None:
+        self.asked.append((route.request.method, route.request.post_data_json))
+        route.fulfill(json=route.request.post_data_json, status=202)
+
     def _open(self, socket: Any) -> None:
         self.sockets.append(socket)
-        socket.on_message(lambda text: self.said.append(json.loads(text)))
+        socket.on_message(lambda _: None)  # nothing is passed on to the service
 
 
 @pytest.fixture
@@ -182,12 +187,12 @@ def test_a_take_is_recorded_and_named(rig: Callable[..., Page], session: Session
     name = page.get_by_label("Name of the take")
     name.fill("scene 4 take 9")
     page.get_by_role("button", name="Record").click()
-    until(lambda: _pumped(page, session.said))
-    assert session.said == [{"record": "scene 4 take 9"}]
+    until(lambda: _pumped(page, session.asked))
+    assert session.asked == [("PUT", {"name": "scene 4 take 9"})]
     session.tell({"type": "recording", "name": "scene 4 take 9"})
     page.get_by_role("button", name="Stop").click()
-    until(lambda: _pumped(page) and len(session.said) == 2)
-    assert session.said[1] == {"stop": True}
+    until(lambda: _pumped(page) and len(session.asked) == 2)
+    assert session.asked[1] == ("DELETE", None)
     take = {"name": "scene 4 take 9", "file": "scene_4_take_9.npz", "frames": 120, "seconds": 2.0}
     session.tell({"type": "take", **take})
 

@@ -44,11 +44,6 @@ export class LiveFeed extends EventTarget {
     }
   }
 
-  /** Ask something of the session: to record, to stop, to end. */
-  send(control) {
-    this.#socket?.send(JSON.stringify(control));
-  }
-
   /** Leave the line. */
   close() {
     this.#ending.abort();

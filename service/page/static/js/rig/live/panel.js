@@ -4,7 +4,7 @@ import * as api from "../../api.js";
 import { announce, h, setText, show } from "../../dom.js";
 import { meter } from "../../parts/meter.js";
 import { FINAL, state as stateOf } from "../../parts/state.js";
-import { toast } from "../../parts/toast.js";
+import { doing, toast } from "../../parts/toast.js";
 import { sentence } from "../../parts/trouble.js";
 import { repeat } from "../../repeat.js";
 import { plain, when } from "../../words.js";
@@ -16,6 +16,8 @@ import { LiveTakes } from "./takes.js";
 
 const EVERY_MS = 3_000;
 const FIGURES_MS = 500;
+const TRIES = 20; // to read what the face is drawn by
+const AGAIN_MS = 500;
 
 /**
  * Sessions of a rig. `change(patch)` takes a part of a state, which names the session; `came()` is
@@ -176,10 +178,24 @@ export class LivePanel {
     this.#button.disabled = false;
     if (ready.layout.some(({ name }) => name === "skin")) return;
     try {
-      const skin = new LiveSkin(await api.bytes(`/v1/live/${id}/view`, { signal: this.#signal }));
-      if (this.#shown === id) this.#skin = skin;
+      const skin = await this.#readSkin(id);
+      if (this.#shown !== id) return;
+      this.#skin = skin;
+      if (this.hasFace) this.#came();
     } catch (error) {
       if (!this.#signal.aborted) show(this.#what, h("p", { class: "notice bad", role: "alert" }, sentence(error)));
+    }
+  }
+
+  /** Read the shapes of a session's skin, which are there a moment after it is ready. */
+  async #readSkin(id) {
+    for (let left = TRIES; ; left--) {
+      try {
+        return new LiveSkin(await api.bytes(`/v1/live/${id}/view`, { signal: this.#signal }));
+      } catch (error) {
+        if (error.code !== "artifact.unknown" || !left) throw error;
+        await api.pause(AGAIN_MS, this.#signal);
+      }
     }
   }
 
@@ -200,10 +216,17 @@ export class LivePanel {
     api.pause(EVERY_MS, this.#signal).then(() => this.#takes.find(), () => {});
   }
 
-  #record() {
-    if (this.#isRecording) this.#feed.send({ stop: true });
-    else if (this.#name.value.trim()) this.#feed.send({ record: this.#name.value.trim() });
-    else this.#name.focus();
+  /** Begin or end a take; the session says when it has. */
+  async #record() {
+    const path = `/v1/live/${this.#shown}/recording`;
+    const name = this.#name.value.trim();
+    if (!this.#isRecording && !name) {
+      this.#name.focus();
+      return;
+    }
+    await doing(this.#button, () => (
+      this.#isRecording ? api.remove(path, this.#signal) : api.put(path, { name }, this.#signal)
+    ));
   }
 
   #setRecording(isRecording, name = "") {
