@@ -117,7 +117,7 @@ def rig(place: Place, chromium: Any, session: Session) -> Iterator[Callable[...,
     """Open the rig with a session; an error in the page's console fails the test."""
     faults: list[str] = []
     context = chromium.new_context(viewport={"width": 1400, "height": 900})
-    context.set_default_timeout(SECONDS * 300)
+    context.set_default_timeout(SECONDS * 1000)
 
     def open_rig(query: str = "") -> Page:
         page = context.new_page()
