@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import redis
@@ -21,7 +20,16 @@ from sqlalchemy import or_, select
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.queue.states import HELD, State
-from service.queue.streams import KEPT_SECONDS, MOST_OUT, Answered, Fields, Names, Sent, parse
+from service.queue.streams import (
+    KEPT_SECONDS,
+    MOST_OUT,
+    Answered,
+    Fields,
+    Inbox,
+    Names,
+    Sent,
+    parse,
+)
 from service.queue.table import has_run_out, is_due
 from service.queue.wakeups import LIVE, connect, wake
 from service.store.database import Store, clock
@@ -40,54 +48,12 @@ class BridgeOptions:
     """Bounds of a bridge; times in s."""
 
     in_solver: int = 3  # frames that the solver has without an answer
-    waiting: int = 8  # frames that wait for it, of which the oldest go
-    words: int = 64  # messages of any kind that wait; more words are not heard
     silent: float = 0.5  # without an answer, after which it is given one more
     asks: float = 0.5  # how long the broker is asked for news at a time
     rests: float = 0.2  # after the broker failed
     looks_back: int = 16  # answers among which the last frame is looked for
     farewell: float = 2.0  # until the threads have ended
     keeps: float = 60.0  # what an ended session said, for who asks then
-
-
-@dataclass
-class _Inbox:
-    """Frames and words on their way to the solver, and how many frames were dropped."""
-
-    waiting: deque[Sent] = field(default_factory=deque)
-    frames: int = 0
-    dropped: int = 0
-    station: str = ""
-    number: int = 0
-
-    def add(self, sent: Sent, options: BridgeOptions) -> None:
-        """Add a message; where too many frames wait the oldest goes."""
-        if sent.station != self.station:
-            self.station, self.number = sent.station, sent.number - 1
-        self.dropped += max(sent.number - self.number - 1, 0)
-        self.number = sent.number
-        if not sent.is_frame and len(self.waiting) >= options.words:
-            return
-        self.waiting.append(sent)
-        self.frames += sent.is_frame
-        if self.frames > options.waiting:
-            oldest = next(each for each in self.waiting if each.is_frame)
-            self.waiting.remove(oldest)
-            self.frames -= 1
-            self.dropped += 1
-
-    def _count(self, sent: Sent) -> None:
-        """Count what a station sent that has not come here."""
-        if sent.station != self.station:
-            self.station, self.number = sent.station, 0
-        self.dropped += max(sent.number - self.number - 1, 0)
-        self.number = sent.number
-
-    def take(self) -> Sent:
-        """Return the message that is next."""
-        sent = self.waiting.popleft()
-        self.frames -= sent.is_frame
-        return sent
 
 
 class Bridge:
@@ -111,7 +77,7 @@ class Bridge:
         )
         self._stopping = threading.Event()
         self._changed = threading.Condition()
-        self._inbox = _Inbox()
+        self._inbox = Inbox()
         self._in_solver = 0
         self._answered = time.monotonic()
         self._told: dict[Any, Any] = {}  # the last words of each type
@@ -160,7 +126,7 @@ class Bridge:
                 continue
             with self._changed:
                 for _, fields in _entries(found):
-                    self._inbox.add(Sent.read(fields), self._options)
+                    self._inbox.add(Sent.read(fields))
                 self._changed.notify_all()
             last = next((place for place, _ in reversed(_entries(found))), last)
 
@@ -195,7 +161,8 @@ class Bridge:
         """Wait for a message that the solver may have; None: there is none any more."""
         with self._changed:
             while not self._stopping.is_set():
-                if self._inbox.waiting and self._may_have(self._inbox.waiting[0]):
+                first = self._inbox.first
+                if first is not None and self._may_have(first):
                     sent = self._inbox.take()
                     self._in_solver += sent.is_frame
                     return sent

@@ -13,7 +13,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 
 import structlog
-from anyio import CancelScope, create_task_group, fail_after, sleep, to_thread
+from anyio import CancelScope, Event, create_task_group, fail_after, sleep, to_thread
 from sqlalchemy import or_, select
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -21,7 +21,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from service.live.broker import AWAY, LiveBroker
 from service.live.tickets import Ticket
 from service.queue.states import FINAL
-from service.queue.streams import LARGEST, Answered, Names, Sent, parse
+from service.queue.streams import LARGEST, Answered, Inbox, Names, Sent, parse
 from service.store.database import Store, clock
 from service.store.models import ApiKey, Job
 from solver.kinds.live_messages import Message
@@ -68,12 +68,14 @@ class Connection:
         self._tokens = options.burst
         self._at = time.monotonic()
         self._attempt = 0
+        self._inbox = Inbox()
+        self._came = Event()
 
     async def serve(self) -> None:
         """Pass messages on until the connection ends."""
         try:
             async with create_task_group() as tasks:
-                for work in (self._receive, self._send, self._look):
+                for work in (self._receive, self._pass_in, self._send, self._look):
                     tasks.start_soon(_and_then_cancel, work, tasks.cancel_scope)
         except* (WebSocketDisconnect, TimeoutError):
             log.info("live.disconnected", job_id=self._ticket.session_id)
@@ -98,20 +100,26 @@ class Connection:
             if len(message.data) > LARGEST:
                 await self._close(TOO_LARGE, f"a message has {LARGEST} bytes at most")
                 return
-            if not self._may_send():
-                continue
-            # by words: what a person sends is no frame unless it has a number
-            is_frame = text is None or '"number"' in text
-            try:
-                is_mine = await self._broker.add(
-                    self._names, Sent(message, number, self._name, is_frame)
-                )
-            except AWAY as error:
-                await self._rest(error)
-                continue
-            if not is_mine:
-                await self._close(TAKEN_OVER, "another connection is the station's now")
-                return
+            if self._may_send():
+                # by words: what a person sends is no frame unless it has a number
+                is_frame = text is None or '"number"' in text
+                self._inbox.add(Sent(message, number, self._name, is_frame))
+                self._came.set()
+
+    async def _pass_in(self) -> None:
+        """Give the broker what came, the newest if it is slow."""
+        while True:
+            await self._came.wait()
+            self._came = Event()
+            while self._inbox.first is not None:
+                try:
+                    is_mine = await self._broker.add(self._names, self._inbox.take())
+                except AWAY as error:
+                    await self._rest(error)
+                    continue
+                if not is_mine:
+                    await self._close(TAKEN_OVER, "another connection is the station's now")
+                    return
 
     def _may_send(self) -> bool:
         options = self._options
@@ -140,7 +148,7 @@ class Connection:
                 await self._rest(error)
                 continue
             for message in self._newest(answers):
-                await self._pass_on(message)
+                await self._say(message)
                 if message.is_text and parse(message).get("type") == "ended":
                     await self._close(ENDED, "the session has ended")
                     return
@@ -153,7 +161,7 @@ class Connection:
         old = set(frames[: -self._options.behind])
         return [message for place, message in enumerate(own) if place not in old]
 
-    async def _pass_on(self, message: Message) -> None:
+    async def _say(self, message: Message) -> None:
         with fail_after(self._options.sends):
             if message.is_text:
                 await self._socket.send_text(message.data.decode(errors="replace"))
@@ -177,7 +185,7 @@ class Connection:
             if end is not None:
                 if end[0] == ENDED:
                     words = json.dumps({"type": "ended", "reason": end[1]})
-                    await self._pass_on(Message(words.encode(), True))
+                    await self._say(Message(words.encode(), True))
                 await self._close(*end)
                 return
 

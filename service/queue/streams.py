@@ -9,6 +9,7 @@ any more: a session that is lost leaves nothing.
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -16,6 +17,8 @@ from solver.kinds.live_messages import Message
 
 MOST_IN = 32  # messages that wait for a session, half a second of a camera's
 MOST_OUT = 64  # that wait for the slowest of those who watch
+MOST_FRAMES = 8  # that wait in a process on their way to a session
+MOST_WORDS = 64  # messages that wait there, beyond which words are not heard
 KEPT_SECONDS = 300  # after the last write
 LARGEST = 1 << 20  # bytes of a message
 
@@ -68,6 +71,46 @@ class Sent(NamedTuple):
         """Return the message that an entry has."""
         message = Message(fields[b"d"], fields[b"t"] == b"1")
         return cls(message, int(fields[b"n"]), fields[b"s"].decode(), fields[b"f"] == b"1")
+
+
+class Inbox:
+    """Messages that wait on their way to a session: of its frames the newest, of words the first.
+
+    ``dropped`` counts the frames that went, here or before they came here.
+    """
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self._waiting: deque[Sent] = deque()
+        self._frames = 0
+        self._station = ""
+        self._number = 0
+
+    def add(self, sent: Sent) -> None:
+        """Add a message; where too many frames wait the oldest goes."""
+        if sent.station != self._station:
+            self._station, self._number = sent.station, sent.number - 1
+        self.dropped += max(sent.number - self._number - 1, 0)
+        self._number = sent.number
+        if not sent.is_frame and len(self._waiting) >= MOST_WORDS:
+            return
+        self._waiting.append(sent)
+        self._frames += sent.is_frame
+        if self._frames > MOST_FRAMES:
+            self._waiting.remove(next(each for each in self._waiting if each.is_frame))
+            self._frames -= 1
+            self.dropped += 1
+
+    @property
+    def first(self) -> Sent | None:
+        """The message that is next; None: there is none."""
+        return self._waiting[0] if self._waiting else None
+
+    def take(self) -> Sent:
+        """Take the message that is next."""
+        sent = self._waiting.popleft()
+        self._frames -= sent.is_frame
+        return sent
 
 
 class Answered(NamedTuple):
