@@ -7,6 +7,7 @@ from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose, usual_layout
 from solver.fitting.markers.term import MarkerPlaces
 from solver.live.follow import ReducedPlaces
+from solver.live.markers import LiveMarkers
 from solver.mechanics.boundary import FreeJaw
 from solver.rig.frames.skin_basis import ReducedSkin
 from solver.rig.preview import PreviewOptions, make_live_preview
