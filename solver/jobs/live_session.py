@@ -17,8 +17,9 @@ from solver.fitting.expression_basis import FILE as BASIS_FILE
 from solver.jobs import Task
 from solver.kinds.live_channel import Channel, ChannelClosedError
 from solver.kinds.live_messages import FOLLOWED, FollowedFrame, GivenFrame, Message, MessageError
+from solver.kinds.live_session import VIEW_FILE
 from solver.kinds.live_session import LiveSession as Options
-from solver.live.session import VIEW_FILE, LiveOptions, LiveSession
+from solver.live.session import LiveOptions, LiveSession
 from solver.live.skin import FILE
 from solver.live.takes import PART, LeftTake, TakeWriter, check_name, finish_part
 from solver.live.texts import describe_frame, read_frame

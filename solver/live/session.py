@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from solver.errors import InputError
 from solver.kinds.live_messages import GAP, HELD, RESUMED, FollowedFrame, GivenFrame
-from solver.kinds.live_session import Source
+from solver.kinds.live_session import VIEW_FILE, Source
 from solver.live.checks import Checked, CheckOptions, CheckOrder, CheckProcess, Sample
 from solver.live.mending import Mend
 from solver.live.rigged import Listener, LiveFace
@@ -33,8 +33,6 @@ from solver.scans.markers.places.marker_set import MarkerSet
 from solver.similarity import Similarity, small_motion
 from solver.storage import write_container
 from solver.surface import Floats
-
-VIEW_FILE = "live_view.bin"  # the modes for the page
 
 
 @dataclass(frozen=True)
