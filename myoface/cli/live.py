@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import sys
 import time
@@ -34,6 +35,7 @@ Source = Literal["weights", "markers", "points", "landmarks"]
 LAST_PORT = 65535
 SHOW_S = 0.5  # between two looks at how a session goes
 MARKER_SET = "markers.json"
+TAKE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")  # names of takes
 
 
 def read_host(word: str) -> tuple[str, int]:
@@ -42,6 +44,13 @@ def read_host(word: str) -> tuple[str, int]:
     if not (host and port.isdigit() and 0 < int(port) <= LAST_PORT):
         raise ValueError(f"{word!r} is no HOST:PORT, such as 127.0.0.1:9000")
     return host.strip("[]"), int(port)
+
+
+def read_take(word: str) -> str:
+    """Return the name of a take, which a file is called by."""
+    if not TAKE.fullmatch(word):
+        raise ValueError(f"{word!r} is no name of a take: letters, digits, '.', '_' and '-'")
+    return word
 
 
 Rig = Annotated[

@@ -58,24 +58,23 @@ def tell_frame(
 
     ``ready`` is what the session said of its names.
     """
-    arrays = frame.arrays
-    values = dict(zip(ready["sliders"], arrays["values"], strict=True))
-    pulls = zip(ready["muscles"], map(_known, arrays["contractions"]), strict=True)
+    values, pulls = frame.arrays["values"], frame.arrays["contractions"]
     return {
         "type": "frame",
         "number": frame.number,
         "seconds": frame.seconds,
-        "latency_ms": latency_ms,
-        "solve_ms": _known(frame.solve_ms),
-        "error_mm": {"p50": _known(frame.error_p50_mm), "p95": _known(frame.error_p95_mm)},
+        "latency_ms": _rounded(latency_ms),
+        "solve_ms": _rounded(frame.solve_ms),
+        "error_mm": {"p50": _rounded(frame.error_p50_mm), "p95": _rounded(frame.error_p95_mm)},
         "dropped": frame.dropped,
         "held": frame.is_held,
-        "head": list(arrays["head"]),
-        "jaw": list(arrays["jaw"]),
-        "values": values,
-        "contractions": dict(pulls),
+        "head": list(map(_rounded, frame.arrays["head"])),
+        "jaw": list(map(_rounded, frame.arrays["jaw"])),
+        "values": dict(zip(ready["sliders"], map(_rounded, values), strict=True)),
+        "contractions": dict(zip(ready["muscles"], map(_rounded, pulls), strict=True)),
     }
 
 
-def _known(value: float) -> float | None:
-    return None if isnan(value) else value
+def _rounded(value: float | None) -> float | None:
+    """Return a number with as many digits as single precision has."""
+    return None if value is None or isnan(value) else float(f"{value:.7g}")

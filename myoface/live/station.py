@@ -158,7 +158,6 @@ class Station:
         """Send what the source yields until it ends, or the station is stopped."""
         if self._record is not None:
             await face.tell({"record": self._record})
-            self._is_recording = True
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._stop_at, tasks.cancel_scope)
             if self._waits:
@@ -220,8 +219,7 @@ class Station:
         with anyio.move_on_after(options.last_s):
             while self._sent:
                 await anyio.sleep(options.pause_s)
-        if self._is_recording:
-            await face.tell({"stop": True})
+        await face.tell({"stop": True})
         with anyio.move_on_after(options.take_s):
             while self._is_recording:
                 await anyio.sleep(options.pause_s)

@@ -188,16 +188,16 @@ def test_a_take_is_recorded_and_named(rig: Callable[..., Page], session: Session
     name.fill("scene 4 take 9")
     page.get_by_role("button", name="Record").click()
     until(lambda: _pumped(page, session.asked))
-    assert session.asked == [("PUT", {"name": "scene 4 take 9"})]
-    session.tell({"type": "recording", "name": "scene 4 take 9"})
+    assert session.asked == [("PUT", {"name": "scene_4_take_9"})]
+    session.tell({"type": "recording", "name": "scene_4_take_9"})
     page.get_by_role("button", name="Stop").click()
     until(lambda: _pumped(page) and len(session.asked) == 2)
     assert session.asked[1] == ("DELETE", None)
-    take = {"name": "scene 4 take 9", "file": "scene_4_take_9.npz", "frames": 120, "seconds": 2.0}
+    take = {"name": "scene_4_take_9", "file": "scene_4_take_9.npz", "frames": 120, "seconds": 2.0}
     session.tell({"type": "take", **take})
 
     page.get_by_role("list", name="Takes").get_by_text("120 frames, 2.0 s").wait_for()
-    assert name.input_value() == "scene 4 take 10"
+    assert name.input_value() == "scene_4_take_10"
     _picture(page, "live-take")
 
 

@@ -41,7 +41,7 @@ export class LivePanel {
   #what = h("div", { class: "stack" });
   #facts = new Map();
   #numbers;
-  #name = h("input", { type: "text", value: "take 1", maxlength: 80, "aria-label": "Name of the take" });
+  #name = h("input", { type: "text", value: "take_1", maxlength: 64, "aria-label": "Name of the take", spellcheck: "false" });
   #button = h("button", { type: "button", class: "main", disabled: true, onclick: () => this.#record() }, "Record");
   #takes;
   #pulls = h("div");
@@ -219,7 +219,7 @@ export class LivePanel {
   /** Begin or end a take; the session says when it has. */
   async #record() {
     const path = `/v1/live/${this.#shown}/recording`;
-    const name = this.#name.value.trim();
+    const name = this.#name.value.trim().replace(/\s+/g, "_");
     if (!this.#isRecording && !name) {
       this.#name.focus();
       return;
@@ -275,8 +275,8 @@ function number(value, digits) {
   return Number.isFinite(value) ? value.toFixed(digits) : "–";
 }
 
-/** Return the name of the take after one: "take 2" after "take 1". */
+/** Return the name of the take after one: "take_2" after "take_1". */
 function next(name) {
   const found = /^(.*?)(\d+)$/.exec(name);
-  return found ? `${found[1]}${Number(found[2]) + 1}` : `${name} 2`;
+  return found ? `${found[1]}${Number(found[2]) + 1}` : `${name}_2`;
 }
