@@ -43,10 +43,10 @@ from solver.fitting.prior import GaussianPrior
 from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.dense import DensePoints, SeenPoints
 from solver.jobs.build_preview import TOLERANCE
+from solver.live.markers import LiveMarkers
 from solver.mechanics.linear import fastest
 from solver.rig import Rig
 from solver.rig.preview import make_live_preview
-from solver.rig.preview.live import LiveTracker
 from solver.scans.markers.places.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.prepare import bind
 from solver.scans.markers.readers.take import read_take
@@ -218,14 +218,14 @@ def _live(
     )
     full = bench.fit(known, take)["face_mean_mm"]
     markers = MarkerSet(tuple(bench.markers), IDENTITY, rig.model.sha256)
-    tracker = LiveTracker(rig.model, preview.controls, preview.skin, markers, truth.seconds)
+    tracker = LiveMarkers(rig.model, preview.controls, preview.skin, markers)
     milliseconds = []
     errors = []
     for row, seen in enumerate(take.points):
         with Stopwatch() as clock:
-            frame = tracker.step(seen)
+            frame = tracker.step(seen, truth.seconds)
         milliseconds.append(1e3 * clock.seconds)
-        skin = rig.model.skin.vertices + preview.skin.motion(frame.controls)
+        skin = rig.model.skin.vertices + preview.skin.motion(frame.values)
         off = (skin - truth.skin(row))[face.model.face]
         errors.append(float(np.linalg.norm(off, axis=1).mean()))
     return {

@@ -19,13 +19,14 @@ import httpx
 import structlog
 
 from myoface.errors import StackError
-from service.queue.wakeups import QUEUES, WEBHOOKS
+from service.queue.wakeups import LIVE, QUEUES, WEBHOOKS
 from service.settings import Settings
 from service.store.broker import BrokerNotFoundError, EmbeddedBroker
 
 START_TIMEOUT = 60.0  # s until every part answers
 STOP_TIMEOUT = 8.0  # s until a child that does not end is killed
 LONGEST_PAUSE = 30.0  # s between two starts of a child
+SPARE = "live-spare"  # the second worker for live sessions
 RETRY = 2.0  # s after a start that failed
 # Of the API: with an arena for each thread, glibc would keep memory that is done with.
 FEW_ARENAS = {"MALLOC_ARENA_MAX": "2"}
@@ -67,10 +68,17 @@ class Stack:
         )
         environment = os.environ | self.settings.environment()
         logs = settings.data_dir / "logs"
-        self._queues = (*QUEUES, WEBHOOKS) if settings.webhook_workers else QUEUES
+        asked_for = {LIVE: settings.live_workers, WEBHOOKS: settings.webhook_workers}
+        self._queues = [name for name in (*QUEUES, WEBHOOKS) if asked_for.get(name, 1)]
+        workers = {name: name for name in self._queues}
+        if LIVE in workers:
+            workers[SPARE] = LIVE  # goes on with the sessions of the other one if that dies
         self._children = [
             _Child("api", ["-m", "service"], logs, environment | FEW_ARENAS),
-            *(_Child(queue, ["-m", "worker", queue], logs, environment) for queue in self._queues),
+            *(
+                _Child(name, ["-m", "worker", queue], logs, environment)
+                for name, queue in workers.items()
+            ),
         ]
         self._stopping = threading.Event()
         self._keeper = threading.Thread(target=self._keep, name="keeper", daemon=True)

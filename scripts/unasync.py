@@ -18,16 +18,18 @@ MODULES = {
     "aio_connection.py": "sync_connection.py",
     "aio_access.py": "sync_access.py",
     "aio_captures.py": "sync_captures.py",
+    "aio_live.py": "sync_live.py",
     "aio.py": "sync.py",
 }
 # Applied in this order, to whole words.
 WORDS = {
     r"(async|await)\s+": "",
     "anyio": "time",
-    "aio_(access|captures|connection)": r"sync_\1",
+    "aio_(access|captures|connection|live)": r"sync_\1",
     "async_(check_archive|count_vertices|is_unpacked|sha256_of|unpack|with_images)": r"\1",
     "asynccontextmanager": "contextmanager",
-    r"Async(Access|Captures|Client|Connection|Iterator)": r"\1",
+    r"Async(Access|Captures|Client|Connect|Connection|LiveFace|LiveSessions|Lock|Socket)": r"\1",
+    "Async(Iterable|Iterator)": r"\1",
     r"__a(enter|exit)__": r"__\1__",
     r"a(close|iter_bytes|read)": r"\1",
 }

@@ -22,6 +22,9 @@ from service.captures.routes import router as captures
 from service.dependencies import check_parts
 from service.jobs.following import Feed
 from service.jobs.routes import router as jobs
+from service.live.broker import LiveBroker
+from service.live.routes import router as live
+from service.live.tickets import Tickets
 from service.outbound import Sender
 from service.page.routes import router as page
 from service.records.audit import ReadLog
@@ -57,6 +60,7 @@ TAGS = [
     {"name": "batches", "description": "All scans of a session in one call."},
     {"name": "templates", "description": "Anatomies that a studio brings."},
     {"name": "jobs", "description": "The work: submit, watch, cancel."},
+    {"name": "live", "description": "A face that follows frames as they are captured."},
     {"name": "rigs", "description": "The results and their files."},
     {"name": "keys", "description": "API keys: make, rotate, revoke."},
     {"name": "tenants", "description": "Who is asking, and what its tenant uses."},
@@ -74,6 +78,7 @@ ROUTERS = (
     templates,
     jobs,
     rigs,
+    live,
     webhooks,
     keys_router,
     tenants_router,
@@ -104,6 +109,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         for thread in background:
             await to_thread.run_sync(thread.stop)
         rates.close()
+        await app.state.live_broker.close()
         store.close()
 
     app = FastAPI(
@@ -131,6 +137,14 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.downloads = ConnectionLimit(
         "download.too_many", "downloads", settings.max_tenant_downloads, settings.max_key_downloads
     )
+    app.state.live_connections = ConnectionLimit(
+        "live.too_many",
+        "connections to live sessions",
+        settings.max_tenant_live,
+        settings.max_key_live,
+    )
+    app.state.live_broker = LiveBroker(settings.broker)
+    app.state.tickets = Tickets(master, settings.live_ticket_seconds)
     app.state.keyring = keyring
     app.state.readiness = ReadinessCache(store, settings)
     app.state.ballast = ballast

@@ -116,6 +116,10 @@ class Settings(BaseSettings):
         default=128, ge=1, description="of events, open at a time in an API process"
     )
     max_key_streams: int = Field(default=64, ge=1, description="the same, of one key")
+    max_tenant_live: int = Field(
+        default=64, ge=1, description="connections to live sessions, open in an API process"
+    )
+    max_key_live: int = Field(default=32, ge=1, description="the same, of one key's tickets")
     max_tenant_downloads: int = Field(
         default=96, ge=1, description="of files, open at a time in an API process"
     )
@@ -129,6 +133,9 @@ class Settings(BaseSettings):
         default=None, ge=1, description="default: 3600, of a check of markers 300"
     )
     max_long_seconds: int | None = Field(default=None, ge=1, description="default: 86400")
+    max_live_seconds: int | None = Field(
+        default=None, ge=1, description="of a live session; default: 90000"
+    )
     min_read_rate: float = Field(
         default=1024**2,
         gt=0,
@@ -136,6 +143,11 @@ class Settings(BaseSettings):
     )
     lease: float = Field(
         default=30, gt=0, description="a worker silent for so long has lost its job"
+    )
+    live_lease: float = Field(
+        default=1.5,
+        gt=0,
+        description="the same of a live session, which another worker then goes on with",
     )
     beat: float = Field(
         default=1, gt=0, description="how often a supervisor renews, reports, reads cancels"
@@ -155,6 +167,20 @@ class Settings(BaseSettings):
     ingest_workers: int = Field(default=1, ge=1)
     short_workers: int = Field(default=1, ge=1)
     long_workers: int = Field(default=1, ge=1)
+    live_workers: int = Field(
+        default=4,
+        ge=0,
+        description="live sessions at a time, of each of the two workers for them; 0: none here",
+    )
+    live_standby: int = Field(
+        default=1,
+        ge=0,
+        description="solver processes with their code loaded that wait for sessions, a worker's "
+        "(Linux, where they are confined)",
+    )
+    live_ticket_seconds: int = Field(
+        default=60, ge=1, le=3600, description="within which a ticket's connection must be opened"
+    )
     solver_threads: int = Field(default=os.cpu_count() or 1, ge=1)
     solver_niceness: int = Field(
         default=10, ge=0, le=19, description="solver processes give way to others; 0: they do not"
@@ -216,6 +242,10 @@ class Settings(BaseSettings):
         """
         own: int | None = getattr(self, f"max_{kind.queue}_seconds")
         return own or kind.max_seconds + int(input_bytes / self.min_read_rate)
+
+    def lease_of(self, queue: str) -> float:
+        """Return the seconds after which a silent worker has lost a job of ``queue``."""
+        return self.live_lease if queue == "live" else self.lease
 
     @property
     def sweeper_term(self) -> float:

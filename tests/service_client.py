@@ -32,6 +32,8 @@ QUICK = {
     "port": 0,
     "webhook_workers": 0,
     "ingest_standby": False,
+    "live_workers": 0,
+    "live_standby": 0,
 }
 STANDIN = {"jobs": "tests.standin.jobs"}
 FINAL = {"succeeded", "failed", "canceled"}

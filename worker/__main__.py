@@ -1,14 +1,15 @@
-"""``python -m worker ingest|short|long|webhooks``: a worker for one queue."""
+"""``python -m worker ingest|short|long|live|webhooks``: a worker for one queue."""
 
 from __future__ import annotations
 
 import argparse
 import signal
+import sys
 import threading
 
 from service import tracing
 from service.process import configure_logs, die_with_parent, forbid_dumps, keep_private
-from service.queue.wakeups import QUEUES, WEBHOOKS
+from service.queue.wakeups import LIVE, QUEUES, WEBHOOKS
 from service.settings import Settings
 from service.store.database import Store
 from worker import deliver, kernels
@@ -41,6 +42,8 @@ def main() -> None:
     if given.compile:
         threading.Thread(target=kernels.compile_all, daemon=True).start()
     store = Store(settings.database, settings.files, settings.broker)
+    if given.queue == LIVE and not settings.live_workers:
+        sys.exit("MYOFACE_LIVE_WORKERS is 0: nobody would hold a session")
     if given.queue == WEBHOOKS:
         deliver.main(store, settings, can)
         return

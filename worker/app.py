@@ -8,12 +8,16 @@ from typing import Any
 from celery import signals
 
 from service.queue.claims import Abilities
-from service.queue.wakeups import INGEST, RUN_JOB, celery_app
+from service.queue.wakeups import INGEST, LIVE, RUN_JOB, celery_app
 from service.settings import Settings
 from service.store.database import Store
+from worker.live import Lookout
 from worker.process import Standby
 from worker.supervise import Supervisor
 from worker.sweeper import Sweeper
+
+# How often a worker for sessions looks for one that is lost, in the time of a lease
+LOOKS_OF_LEASE = 6
 
 
 def work(store: Store, settings: Settings, queue: str, can: Abilities) -> None:
@@ -22,20 +26,31 @@ def work(store: Store, settings: Settings, queue: str, can: Abilities) -> None:
     stopping = threading.Event()
     slots = getattr(settings, f"{queue}_workers")
 
-    # checks are waited for, and short: what their processes load counts
-    standby = Standby(settings, slots if queue == INGEST else 0)
+    # checks and sessions are waited for: what their processes load counts
+    ready = {INGEST: slots * settings.ingest_standby, LIVE: settings.live_standby}
+    standby = Standby(settings, ready.get(queue, 0), live=queue == LIVE)
+    free = threading.Semaphore(slots)
 
     def run_jobs(_job_id: str) -> None:
         """Do the queue's jobs, the best first, until there is none to be had."""
         supervisor = Supervisor(store, settings, can, stopping, standby)
-        while not stopping.is_set() and supervisor.run_next(queue):
-            pass
+        with free:
+            while not stopping.is_set() and supervisor.run_next(queue):
+                pass
+
+    def is_free() -> bool:
+        if free.acquire(blocking=False):
+            free.release()
+            return True
+        return False
 
     def migrate(**_: Any) -> None:
         store.database.migrate()
 
     def sweep(**_: Any) -> None:
         Sweeper(store, settings, queue, can, slots, stopping).start()
+        if queue == LIVE:
+            Lookout(store, settings.live_lease / LOOKS_OF_LEASE, is_free, stopping).start()
 
     def stop(**_: Any) -> None:
         stopping.set()

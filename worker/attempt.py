@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -68,6 +68,11 @@ class AttemptFolder:
         self._outputs: dict[Path, int] = {}
         self._chunks: dict[Path, int] = {}
         self._staged = 0
+        self._keeps = {*KEPT, *claim.kept}
+
+    def keep(self, names: Iterable[str]) -> None:
+        """Keep further files of ``out`` for the next attempt, as soon as they are written."""
+        self._keeps.update(names)
 
     def stage(self, store: Store) -> None:
         """Fetch the inputs, and the frames and files that earlier attempts left.
@@ -171,7 +176,9 @@ class AttemptFolder:
 
         While the solver works these are frames and files to go on with, at the end all.
         """
-        due = {path: size for path, size in self._outputs.items() if at_end or path.name in KEPT}
+        due = {
+            path: size for path, size in self._outputs.items() if at_end or path.name in self._keeps
+        }
         new = sum(size for path, size in due.items() if self._is_new(path))
         new -= sum(self._replaceable.get(path.name, 0) for path in due if self._is_new(path))
         return max(new + sum(self._chunks[path] for path in self._unstored_frames()), 0)
@@ -190,9 +197,10 @@ class AttemptFolder:
         return rows
 
     def new_kept(self, files: Files) -> dict[str, Artifact]:
-        """Put those of :data:`KEPT` that were written since the last call into the file store."""
+        """Put files to go on with that were written since the last call into the file store."""
         found = {}
-        for path in (each for each in self._outputs if each.name in KEPT and self._is_new(each)):
+        due = (each for each in self._outputs if each.name in self._keeps)
+        for path in filter(self._is_new, due):
             written = path.stat().st_mtime_ns
             with suppress(LargerFileError):  # written anew since it was measured: the next time
                 found[path.name] = self._put(path, files)
@@ -208,7 +216,7 @@ class AttemptFolder:
 
     @property
     def kept(self) -> list[str]:
-        """The names of those of :data:`KEPT` that are in the file store."""
+        """The names of files to go on with that are in the file store."""
         return sorted({*self._claim.kept, *self._written})
 
     def rig(self, result: dict[str, Any]) -> Rig | None:
@@ -237,7 +245,9 @@ class AttemptFolder:
 
     def _is_new(self, path: Path) -> bool:
         """Tell whether a file was written since it was stored as one to go on with, if it was."""
-        return path.name not in KEPT or path.stat().st_mtime_ns != self._written.get(path.name)
+        return path.name not in self._keeps or path.stat().st_mtime_ns != self._written.get(
+            path.name
+        )
 
     def _left(self, folder: str = ".") -> dict[Path, int]:
         """Return the plain files in ``out`` or a folder of it and their bytes.

@@ -22,6 +22,7 @@ from service.bounds import fit_progress, refuse_constant, shorten
 from service.settings import Settings
 from solver.cache import VARIABLE as CACHE_VARIABLE
 from solver.cache import cache_path
+from solver.kinds.live_channel import Channel
 from worker import kernels
 from worker.caches import TenantCache
 from worker.orphans import FOLDER_VARIABLE, note_session
@@ -50,30 +51,46 @@ class _Interpreter:
     """A Python process of the solver's, in a session of its own, and the pipes to listen to it.
 
     Started by exec, not by a bare fork: the numeric libraries' thread pools do not survive a fork.
+    One for a ``live`` session has a channel as well, and gives way to nobody.
     """
 
     def __init__(
-        self, words: Sequence[str], settings: Settings, environment: dict[str, str], **how: Any
+        self,
+        words: Sequence[str],
+        settings: Settings,
+        environment: dict[str, str],
+        *,
+        live: bool = False,
+        **how: Any,
     ) -> None:
         reading, writing = os.pipe()
-        niceness = str(settings.solver_niceness)
+        self.channel: Channel | None = None
+        theirs: Channel | None = None
+        if live:
+            self.channel, theirs = Channel.pair()
+        given = [writing] if theirs is None else [writing, theirs.fileno()]
+        words = [*words, str(0 if live else settings.solver_niceness), *map(str, given)]
         try:
             self.process: subprocess.Popen[bytes] = subprocess.Popen(
-                [sys.executable, "-P", "-m", "worker.solve", *words, niceness, str(writing)],
+                [sys.executable, "-P", "-m", "worker.solve", *words],
                 env=allowed_environment(settings.solver_variables)
                 | _thread_counts(settings.solver_threads)
                 | environment,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
-                pass_fds=[writing],
+                pass_fds=given,
                 start_new_session=True,
                 **how,
             )
         except BaseException:
             os.close(reading)
+            if self.channel is not None:
+                self.channel.close()
             raise
         finally:
             os.close(writing)
+            if theirs is not None:
+                theirs.close()
         self.steps = os.fdopen(reading, "rb")
 
     def is_ready(self) -> bool:
@@ -92,9 +109,10 @@ class Standby:
     process of its own. After `MOST_FAILURES` that ended in a row no more are started.
     """
 
-    def __init__(self, settings: Settings, count: int) -> None:
+    def __init__(self, settings: Settings, count: int, *, live: bool = False) -> None:
         self._settings = settings
         self._count = count if is_standby_possible(settings) else 0
+        self._live = live
         self._lock = threading.Lock()
         self._waiting: deque[_Interpreter] = deque()
         self._failures = 0
@@ -110,7 +128,9 @@ class Standby:
                 words = ["--standby", str(os.getpid())]
                 one_thread = dict.fromkeys(BLAS_THREADS, "1")  # others would not be confined
                 try:
-                    started = _Interpreter(words, self._settings, one_thread, stdin=subprocess.PIPE)
+                    started = _Interpreter(
+                        words, self._settings, one_thread, live=self._live, stdin=subprocess.PIPE
+                    )
                 except OSError as error:
                     log.warning("standby.failed", error=str(error))
                     return
@@ -148,14 +168,15 @@ class Standby:
 
 def is_standby_possible(settings: Settings) -> bool:
     """Return whether processes may wait for jobs: they must be able to confine themselves later."""
-    return settings.ingest_standby and settings.solver_confined and sys.platform == "linux"
+    return settings.solver_confined and sys.platform == "linux"
 
 
 class SolverProcess:
     """``python -m worker.solve <folder>`` in a session, and so a process group, of its own.
 
     The system ends it when it has used the processor for longer than all its threads could in
-    ``seconds``, should nobody be left to end it earlier. ``standby`` may have one that waits.
+    ``seconds``, should nobody be left to end it earlier. ``standby`` may have one that waits. That
+    of a ``live`` session has a ``channel``.
     """
 
     def __init__(
@@ -165,6 +186,8 @@ class SolverProcess:
         tenant: str,
         seconds: float,
         standby: Standby | None = None,
+        *,
+        live: bool = False,
     ) -> None:
         # these go with the folder, also when the solver is killed
         temporary, cache, compiled = (folder / name for name in ("tmp", CACHE, "kernels"))
@@ -198,8 +221,9 @@ class SolverProcess:
         if waiting is None:
             words = [str(folder)]
             how = {"cwd": folder, "stdin": subprocess.DEVNULL}
-            waiting = _Interpreter(words, settings, environment, **how)
+            waiting = _Interpreter(words, settings, environment, live=live, **how)
         self._process = waiting.process
+        self.channel = waiting.channel
         assert self._process.stdout is not None
         self._steps = _Lines(waiting.steps, newest=True)
         self._log = _Lines(self._process.stdout)
@@ -325,7 +349,7 @@ def _end(started: _Interpreter) -> None:
         os.set_blocking(said.fileno(), False)
         words = (said.read(LAST_WORDS) or b"").decode(errors="replace").strip()
         log.warning("standby.ended", code=code, said=words[-LONGEST_LINE:])
-    for pipe in (started.steps, started.process.stdin, started.process.stdout):
+    for pipe in (started.steps, started.process.stdin, started.process.stdout, started.channel):
         if pipe is not None:
             with suppress(OSError):
                 pipe.close()

@@ -1,10 +1,11 @@
-"""``python -m worker.solve <attempt folder> <niceness> <pipe>``: the solver process.
+"""``python -m worker.solve <attempt folder> <niceness> <pipe> [<channel>]``: the solver process.
 
 Reads ``job.json``, calls the kind's module of `solver.jobs` and writes ``result.json`` or
 ``error.json``; progress goes as JSON lines to a pipe, the log to standard error. It knows no
-database and no queue, so whatever happens to it costs an attempt at most.
+database and no queue, so whatever happens to it costs an attempt at most. The messages of a live
+session come and go by the channel.
 
-``python -m worker.solve --standby <parent> <niceness> <pipe>`` loads code that most of a job's
+``python -m worker.solve --standby <parent> <niceness> <pipe> ...`` loads code that most of a job's
 start goes into, says a line on the pipe when it is ready, and is told the folder of its one job on
 standard input. The code that it loads knows no job, has no kernels (they are looked for in the
 attempt's folder) and starts no threads (they would not be confined).
@@ -32,6 +33,7 @@ from service.bounds import ERROR, fit, fit_progress, fit_result
 from service.process import configure_logs, die_with_parent
 from solver.jobs import run_job
 from solver.kinds import FILES, KINDS, format_number
+from solver.kinds.live_channel import Channel
 from worker import sandbox
 from worker.errors import NO_ROOM, is_full
 
@@ -72,7 +74,7 @@ def stand_by(parent: int, progress_fd: int) -> Path | None:
     return folder
 
 
-def main(folder: Path, progress_fd: int) -> int:
+def main(folder: Path, progress_fd: int, channel: Channel | None = None) -> int:
     """Do the job in ``folder``; returns the exit code."""
     process = json.loads((folder / "process.json").read_text())
     die_with_parent(process["parent"], signal.SIGKILL)
@@ -87,7 +89,7 @@ def main(folder: Path, progress_fd: int) -> int:
         try:
             with os.fdopen(progress_fd, "w", buffering=1) as pipe:
                 verdict = RESULT
-                result = solve(folder, to_pipe(pipe.write), process["jobs"])
+                result = solve(folder, to_pipe(pipe.write), process["jobs"], channel)
         except Exception as error:
             if is_full(error):
                 raise
@@ -140,7 +142,12 @@ def _describe_error(error: Exception, memory_bytes: int) -> dict[str, Any]:
     return {"code": "solver.crash", "message": message}
 
 
-def solve(folder: Path, progress: ProgressCallback, jobs: str = "solver.jobs") -> dict[str, Any]:
+def solve(
+    folder: Path,
+    progress: ProgressCallback,
+    jobs: str = "solver.jobs",
+    channel: Channel | None = None,
+) -> dict[str, Any]:
     """Do the job; returns ``{summary, expressions, formats}``, what it tells of its results."""
     job = json.loads((folder / "job.json").read_text())
     files: dict[str, Path] = {}
@@ -169,6 +176,7 @@ def solve(folder: Path, progress: ProgressCallback, jobs: str = "solver.jobs") -
         role=role,
         resume=job["resume"],
         progress=progress,
+        channel=channel,
         jobs=jobs,
         **files,
     )
@@ -236,11 +244,12 @@ def _plain(value: Any, words: Callable[[str], str] = str) -> Any:
 
 def start(words: Sequence[str]) -> int:
     """Do the job of a command line, now or when it comes; returns the exit code."""
-    *place, niceness, pipe = words
-    progress_fd = int(pipe)
-    _step_back(int(niceness))
-    folder = stand_by(int(place[1]), progress_fd) if place[0] == STANDBY else Path(place[0])
-    return 0 if folder is None else main(folder, progress_fd)
+    place, rest = (words[1], words[2:]) if words[0] == STANDBY else (words[0], words[1:])
+    niceness, progress_fd, *channels = map(int, rest)
+    _step_back(niceness)
+    channel = Channel.inherited(channels[0]) if channels else None  # before sockets are refused
+    folder = stand_by(int(place), progress_fd) if words[0] == STANDBY else Path(place)
+    return 0 if folder is None else main(folder, progress_fd, channel)
 
 
 if __name__ == "__main__":

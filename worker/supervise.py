@@ -19,6 +19,7 @@ from service.queue import table
 from service.queue.claims import Abilities, claim_next
 from service.queue.states import State
 from service.queue.table import Claim
+from service.queue.wakeups import LIVE
 from service.settings import Settings
 from service.store.database import Store
 from service.store.models import Artifact, Tenant
@@ -40,12 +41,16 @@ from worker.errors import (
     storage_error,
     timeout_error,
 )
+from worker.live import Bridge
 from worker.process import CACHE, SolverProcess, Standby
 
 Done = TypeVar("Done")
 
 # Errors of the database that no waiting mends: it answers, and does not take what it is given
 REFUSED_BY_DATABASE = (DataError, IntegrityError, ProgrammingError)
+
+# A lease is renewed so often before it runs out
+BEATS_OF_LEASE = 5
 
 # Bytes that a solver may write besides what it leaves, and the beats from one count to the next
 SCRATCH = 8 << 30
@@ -82,14 +87,16 @@ class Supervisor:
         self._can = can
         self._stopping = stopping
         self._standby = standby
+        self._lease = settings.lease
         self._renewed = 0.0
         self._unwritten = _News([], [], [], {})
+        self._bridge: Bridge | None = None
 
     def run_next(self, queue: str) -> bool:
         """Claim the best job of a queue, do it and commit; False: there is none to be had."""
+        self._lease = self._settings.lease_of(queue)
         with self._store.write() as session:
-            settings = self._settings
-            claim = claim_next(session, queue, self._can, settings.lease, settings.sweeper_term)
+            claim = claim_next(session, queue, self._can, self._lease, self._settings.sweeper_term)
         if claim is None:
             return False
         self._renewed = time.monotonic()
@@ -136,14 +143,24 @@ class Supervisor:
     def _attempt(self, claim: Claim, folder: AttemptFolder) -> None:
         folder.stage(self._store)
         limit = self._limit(claim, folder)
-        process = SolverProcess(folder.path, self._settings, claim.tenant_id, limit, self._standby)
+        live = KINDS[claim.kind].queue == LIVE
+        process = SolverProcess(
+            folder.path, self._settings, claim.tenant_id, limit, self._standby, live=live
+        )
         log.info("solver.started", pid=process.pid, was_ready=process.was_ready)
         try:
+            if process.channel is not None:
+                if self._standby:
+                    self._standby.fill()  # sessions are long: not only when they have ended
+                job = claim.job_id, claim.attempt
+                self._bridge = Bridge(process.channel, self._settings.broker, *job)
+                self._bridge.start()
             code = self._watch(claim, process, folder, time.monotonic() + limit)
             if code is None:
                 process.stop()
             process.finish()
             self._beat(claim, process, folder)
+            self._stop_bridge()  # its last words come before the end is known
         except CanceledError:
             process.stop()
             self._confirm_cancel(claim)
@@ -159,6 +176,12 @@ class Supervisor:
             self._commit_outcome(claim, folder, code, limit)
         finally:
             process.finish()
+            self._stop_bridge()
+
+    def _stop_bridge(self) -> None:
+        if self._bridge is not None:
+            self._bridge.stop()
+            self._bridge = None
 
     def _limit(self, claim: Claim, folder: AttemptFolder) -> float:
         """Return the seconds that an attempt may last."""
@@ -171,8 +194,9 @@ class Supervisor:
         self, claim: Claim, process: SolverProcess, folder: AttemptFolder, end: float
     ) -> int | None:
         """Wait for the solver's exit code, with a beat now and then; None: not before ``end``."""
+        beat = min(self._settings.beat, self._lease / BEATS_OF_LEASE)
         for number in count(1):
-            if (code := process.wait(self._settings.beat)) is not None:
+            if (code := process.wait(beat)) is not None:
                 break
             if self._stopping.is_set():
                 raise ShutdownError
@@ -186,12 +210,15 @@ class Supervisor:
     def _beat(self, claim: Claim, process: SolverProcess, folder: AttemptFolder) -> None:
         """Renew the lease, pass on what the solver said and left, and see whether to stop.
 
-        A database that does not answer is no reason to stop before the lease has run out; what
-        was said meanwhile is written down when it does.
+        A database that does not answer is no reason to stop before the usual lease has run out,
+        not even in a session, whose own is short: nobody else can take it meanwhile. What was said
+        is written down when it does.
         """
         news = self._unwritten
         news.steps.extend(process.steps())
         news.lines.extend(process.lines())
+        if self._bridge is not None:
+            folder.keep(self._bridge.left())
         try:
             self._check_size(claim, folder)
             news.chunks.extend(folder.new_frames(self._store.files))
@@ -201,7 +228,7 @@ class Supervisor:
                     session,
                     claim.job_id,
                     claim.attempt,
-                    self._settings.lease,
+                    self._lease,
                     steps=news.steps,
                     lines=news.lines,
                     chunks=news.chunks,

@@ -15,6 +15,7 @@ from myoface.cli.commands import Group, UsageError
 from myoface.cli.console import complain
 from myoface.cli.export import export
 from myoface.cli.keys import keys
+from myoface.cli.live import live
 from myoface.cli.operator import OPERATOR
 from myoface.cli.rigs import rigs
 from myoface.cli.webhooks import webhooks
@@ -35,6 +36,7 @@ app = Group(
 )
 app.command("upload", help="Short for `captures add`.")(add)
 app.command()(export)
+app.command()(live)
 app.members.update(OPERATOR)
 
 

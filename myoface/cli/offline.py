@@ -293,4 +293,5 @@ def live_link(
 
 
 for _kind in KINDS.values():
-    solve.command(_name(_kind))(make_command(_kind))
+    if _kind.queue != "live":  # a session is held by `myoface live`
+        solve.command(_name(_kind))(make_command(_kind))

@@ -12,7 +12,17 @@ with Client("http://127.0.0.1:8765") as client:
 from myoface.client.aio import AsyncClient
 from myoface.client.credentials import DEFAULT_URL
 from myoface.client.jobs import Watcher, unwatched
+from myoface.client.live_frames import LiveFrame, Timed
 from myoface.client.retry import ClientOptions
 from myoface.client.sync import Client
 
-__all__ = ["DEFAULT_URL", "AsyncClient", "Client", "ClientOptions", "Watcher", "unwatched"]
+__all__ = [
+    "DEFAULT_URL",
+    "AsyncClient",
+    "Client",
+    "ClientOptions",
+    "LiveFrame",
+    "Timed",
+    "Watcher",
+    "unwatched",
+]

@@ -14,7 +14,7 @@ from typing import Any
 import anyio
 import httpx
 
-from myoface.client.aio_captures import AsyncCaptures
+from myoface.client.aio_live import AsyncLiveSessions
 from myoface.client.answers import CHANGED, read_json
 from myoface.client.archive import (
     PACKED,
@@ -66,7 +66,7 @@ from myoface.roles import NO_SCANS
 TOO_MANY_STREAMS = "stream.too_many"
 
 
-class AsyncClient(AsyncCaptures):
+class AsyncClient(AsyncLiveSessions):
     """One service. Every method raises :class:`ApiError` with the service's problem document.
 
     Requests are repeated where that does no harm: over a broken line, while the service is not

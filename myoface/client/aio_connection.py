@@ -70,13 +70,14 @@ class AsyncConnection:
         """
         self._url = url = read_address(url)
         self._proxy = proxy_for(url, proxy)
+        self._authority = authority(ca)
         self.http = httpx.AsyncClient(
             base_url=url,
             headers=headers_for(url, key),
             timeout=httpx.Timeout(options.timeout_s),
             proxy=self._proxy,
             trust_env=False,
-            verify=authority(ca),
+            verify=self._authority,
         )
         self._options = options
 

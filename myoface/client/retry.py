@@ -31,6 +31,8 @@ class ClientOptions:
     frame_pause_s: float = 0.5  # between looks for frames that are not ready
     batch_pause_s: float = 1.0  # between looks at a running batch
     stream_pause_s: float = 2.0  # where the service has no event stream to spare
+    live_ready_s: float = 900.0  # until a live session is ready: its rig's skin may be made first
+    live_frame_s: float = 1.0  # for the answer to a frame, which may have been dropped
     chunk_bytes: int = 4 * 1024 * 1024  # of an upload, in one request
 
 

@@ -38,7 +38,7 @@ from myoface.client.jobs import (
     unwatched_batch,
 )
 from myoface.client.retry import Backoff, requested_pause
-from myoface.client.sync_captures import Captures
+from myoface.client.sync_live import LiveSessions
 from myoface.errors import ApiError
 from myoface.names import name_session
 from myoface.resources import (
@@ -68,7 +68,7 @@ from myoface.roles import NO_SCANS
 TOO_MANY_STREAMS = "stream.too_many"
 
 
-class Client(Captures):
+class Client(LiveSessions):
     """One service. Every method raises :class:`ApiError` with the service's problem document.
 
     Requests are repeated where that does no harm: over a broken line, while the service is not

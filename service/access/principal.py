@@ -9,6 +9,7 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
+from starlette.requests import HTTPConnection
 
 from service.errors import Problem
 
@@ -61,7 +62,7 @@ def principal(request: Request, credentials: Credentials) -> Principal:
     return replace(who, request_id=request.state.request_id)
 
 
-def note_authenticated(request: Request, tenant_id: str) -> None:
+def note_authenticated(request: HTTPConnection, tenant_id: str) -> None:
     """Tell the connection, if it wants to know, that its request is a tenant's."""
     if note := getattr(request.state, AUTHENTICATED, None):
         note(tenant_id)

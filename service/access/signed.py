@@ -9,7 +9,7 @@ import base64
 import hmac
 import re
 import time
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from fastapi import Depends, Query, Request
 
@@ -31,16 +31,35 @@ SIGNED = "is_signed"
 PARAMETER = "signed"
 
 
-class Signer:
-    """Signs paths with a key made of the service's ``secret``."""
+class Refusals(NamedTuple):
+    """Code and detail of the problems of a token that is wrong, and of one that is old."""
 
-    def __init__(self, secret: bytes) -> None:
-        self._key = hmac.digest(secret, b"signed urls", "sha256")
+    invalid: tuple[str, str]
+    expired: tuple[str, str]
+
+
+OF_URLS = Refusals(
+    ("url.invalid", "the URL is not as it was signed"),
+    ("url.expired", "the URL's time is over: ask for another"),
+)
+
+
+class Signer:
+    """Signs paths with a key made of the service's ``secret``, another one for each ``purpose``."""
+
+    def __init__(
+        self, secret: bytes, purpose: bytes = b"signed urls", refusals: Refusals = OF_URLS
+    ) -> None:
+        self._key = hmac.digest(secret, purpose, "sha256")
+        self._refusals = refusals
 
     def sign(self, path: str, tenant_id: str, until: int) -> str:
         """Return ``path`` with what lets anybody read it until a moment (Unix time)."""
-        signature = self._signature(path, tenant_id, until)
-        return f"{path}?{PARAMETER}={tenant_id}.{until}.{signature}"
+        return f"{path}?{PARAMETER}={self.token(path, tenant_id, until)}"
+
+    def token(self, path: str, tenant_id: str, until: int) -> str:
+        """Return what `verify` takes for ``path`` until a moment (Unix time)."""
+        return f"{tenant_id}.{until}.{self._signature(path, tenant_id, until)}"
 
     def verify(self, path: str, token: str) -> str:
         """Return the tenant in whose name ``path`` may be read.
@@ -52,14 +71,14 @@ class Signer:
         """
         match = TOKEN.fullmatch(token)
         if match is None:
-            raise Problem(403, "url.invalid", "the URL is not as it was signed")
+            raise Problem(403, *self._refusals.invalid)
         tenant_id = match[1]
         until = int(match[2])
         signature = match[3]
         if not hmac.compare_digest(signature, self._signature(path, tenant_id, until)):
-            raise Problem(403, "url.invalid", "the URL is not as it was signed")
+            raise Problem(403, *self._refusals.invalid)
         if until <= time.time():
-            raise Problem(403, "url.expired", "the URL's time is over: ask for another")
+            raise Problem(403, *self._refusals.expired)
         return tenant_id
 
     def _signature(self, path: str, tenant_id: str, until: int) -> str:

@@ -8,7 +8,7 @@ import uuid
 from urllib.parse import quote
 
 import structlog
-from starlette.requests import Request
+from starlette.requests import HTTPConnection, Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service import tracing
@@ -46,13 +46,14 @@ class RequestContext:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
+        if scope["type"] == "websocket":
+            await self._serve_socket(scope, receive, send)
+            return
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
         request = Request(scope)
-        given = request.headers.get("x-request-id", "")
-        request_id = given if ACCEPTED_ID.fullmatch(given) else uuid.uuid4().hex
-        request.state.request_id = request_id
+        request_id = _identify(request)
         status = 0
         started = time.perf_counter()
 
@@ -91,3 +92,22 @@ class RequestContext:
                     ms=round(1000 * (time.perf_counter() - started), 1),
                 )
             structlog.contextvars.unbind_contextvars("request_id")
+
+    async def _serve_socket(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one WebSocket, which is logged when it ends; its address has a ticket."""
+        request_id = _identify(HTTPConnection(scope))
+        started = time.perf_counter()
+        with structlog.contextvars.bound_contextvars(request_id=request_id):
+            try:
+                await self._app(scope, receive, send)
+            finally:
+                seconds = round(time.perf_counter() - started, 1)
+                log.info("socket", path=path_of(scope), seconds=seconds)
+
+
+def _identify(connection: HTTPConnection) -> str:
+    """Return the id of a request, noted in its state."""
+    given = connection.headers.get("x-request-id", "")
+    request_id = given if ACCEPTED_ID.fullmatch(given) else uuid.uuid4().hex
+    connection.state.request_id = request_id
+    return request_id

@@ -8,13 +8,16 @@ be all that the process can hold; `ConnectionSlots` says which of them is closed
 from __future__ import annotations
 
 import asyncio
+import logging
 import socket
 import struct
 import uuid
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from service.access.principal import AUTHENTICATED
 from service.errors import Problem, render
@@ -25,6 +28,25 @@ from service.http.slots import ConnectionSlots
 MOST_UNSENT = 128 * 1024
 # SO_LINGER 0: drop unsent data when we reset the connection.
 AT_ONCE = struct.pack("ii", 1, 0)
+
+
+QUIET = logging.getLogger("myoface.sockets")
+QUIET.setLevel(logging.WARNING)
+
+
+class SocketProtocol(WebSocketsSansIOProtocol):
+    """A WebSocket, which says when it is lost: the slot of its connection is another protocol's."""
+
+    on_lost: Callable[[], None] = staticmethod(lambda: None)
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.logger = QUIET  # uvicorn logs addresses, and these have tickets in them
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Give the slot back."""
+        super().connection_lost(exc)
+        self.on_lost()
 
 
 class DeadlineProtocol(H11Protocol):
@@ -48,6 +70,7 @@ class DeadlineProtocol(H11Protocol):
         super().__init__(*args, **kwargs)
         # of every request's state
         self.app_state = {**self.app_state, AUTHENTICATED: self._note_tenant}
+        self._is_upgraded = False
         self._deadline: asyncio.TimerHandle | None = None
         self._patience: asyncio.TimerHandle | None = None
 
@@ -77,7 +100,7 @@ class DeadlineProtocol(H11Protocol):
     def data_received(self, data: bytes) -> None:
         """Take bytes, and see whether they make a request."""
         super().data_received(data)
-        if self.transport.is_closing() or self._busy():
+        if self.transport.is_closing() or self._busy() or self._is_upgraded:
             self._stop()
         else:
             self._start()
@@ -88,9 +111,21 @@ class DeadlineProtocol(H11Protocol):
         if self._busy():
             self.slots.begin(self)
 
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """Hand the connection over; its slot is a busy one's until it is lost."""
+        self._is_upgraded = True
+        self.slots.begin(self)
+        super().handle_websocket_upgrade(event)
+        upgraded = self.transport.get_protocol()
+        assert isinstance(upgraded, SocketProtocol)
+        upgraded.on_lost = self._forget
+
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the clock."""
         super().connection_lost(exc)
+        self._forget()
+
+    def _forget(self) -> None:
         self.slots.close(self)
         self._stop()
         self._stop_being_patient()

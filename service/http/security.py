@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from urllib.parse import urlsplit
 
 from starlette.datastructures import MutableHeaders
-from starlette.requests import Request
+from starlette.requests import HTTPConnection, Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocket
 
 from service.access.signed import PARAMETER, SIGNED
 from service.errors import Problem, render
@@ -23,6 +25,9 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
 }
+
+FOREIGN_HOST = "this service does not answer to that host"
+FOREIGN_PAGE = "another site's page may not do this"
 
 YEAR = 365 * 24 * 3600
 
@@ -54,6 +59,9 @@ class Security:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
+        if scope["type"] == "websocket":
+            await self._serve_socket(WebSocket(scope, receive, send))
+            return
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -82,7 +90,20 @@ class Security:
         else:
             await self._app(scope, receive, send_with_headers)
 
-    def _viewer(self, request: Request) -> str | None:
+    async def _serve_socket(self, socket: WebSocket) -> None:
+        """Serve one WebSocket; a browser says by itself whose page opens it."""
+        origin = socket.headers.get("origin")
+        is_own = origin is None or urlsplit(origin).netloc == socket.headers.get("host")
+        if _hostname(socket) not in self._allowed_hosts:
+            problem = Problem(421, "request.host", FOREIGN_HOST)
+        elif not is_own and self._viewer(socket) is None:
+            problem = Problem(403, "request.cross_site", FOREIGN_PAGE)
+        else:
+            await self._app(socket.scope, socket.receive, socket.send)
+            return
+        await socket.send_denial_response(render(socket.state.request_id, problem))
+
+    def _viewer(self, request: HTTPConnection) -> str | None:
         """Return the site of the page that asks, if it is one that may read signed URLs."""
         origin = request.headers.get("origin")
         is_viewer = origin in self._viewer_origins or ANY_ORIGIN in self._viewer_origins
@@ -103,14 +124,14 @@ class Security:
             problem.headers = {"Connection": "close"}  # where it ends is anybody's guess
             return problem
         if _hostname(request) not in self._allowed_hosts:
-            return Problem(421, "request.host", "this service does not answer to that host")
+            return Problem(421, "request.host", FOREIGN_HOST)
         site = request.headers.get("sec-fetch-site", "none")
         if request.method not in READING and site not in ("none", "same-origin"):
-            return Problem(403, "request.cross_site", "another site's page may not do this")
+            return Problem(403, "request.cross_site", FOREIGN_PAGE)
         return None
 
 
-def _hostname(request: Request) -> str | None:
+def _hostname(request: HTTPConnection) -> str | None:
     """Return the Host header's name; None if it has none, where Starlette would take our own."""
     match = HOST.fullmatch(request.headers.get("host", ""))
     return (match[1] or match[2]).lower() if match else None

@@ -97,7 +97,9 @@ def _refuse_unready(job: Job, new: NewJob, member: str) -> None:
 def _role(kind: Kind, job: Job, name: str, member: str) -> str:
     """Return what a job's file is to a job of a ``kind``."""
     left = KINDS[job.kind].hands_on if job.kind in KINDS else ()
-    useful = [file for file in left if FILES[file].input in kind.reads]
+    useful = [
+        file for file in left if {FILES[file].input, FILES[file].role}.intersection(kind.reads)
+    ]
     if name not in useful:
         what = f"takes of it {', '.join(useful)}" if useful else "takes no file of it"
         detail = f"{kind.name} does not read {name} of a {job.kind} job: it {what}"

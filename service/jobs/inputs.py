@@ -69,7 +69,10 @@ def _found(session: Session, kind: Kind, new: NewJob) -> Inputs:
 
 def _refuse_unread(kind: Kind, new: NewJob) -> None:
     for member, reads in (
-        ("captures", {"captures", "capture", "performance", "markers", "photos", "assets"}),
+        (
+            "captures",
+            {"captures", "capture", "performance", "markers", "marker_set", "photos", "assets"},
+        ),
         ("rig_id", {"rig", "any_rig"}),
     ):
         if getattr(new, member) and reads.isdisjoint(kind.reads):
@@ -167,6 +170,8 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
         files.append(_performance(session, new))
     elif "markers" in kind.reads:
         files += _markers(session, new)
+    elif "marker_set" in kind.reads:
+        files += _marker_files(session, new, most_takes=0).values()
     elif "photos" in kind.reads:
         files += _photos(session, new)
     elif "captures" in kind.reads:
@@ -220,7 +225,15 @@ def _performance(session: Session, new: NewJob) -> InputFile:
 
 def _markers(session: Session, new: NewJob) -> list[InputFile]:
     """Return one take of markers, and the session's marker set where that is named, too."""
-    found = {}
+    found = _marker_files(session, new, most_takes=1)
+    if "markers" not in found:
+        raise Problem(422, "job.missing", f"{new.kind} needs a take of markers", member="captures")
+    return [*found.values()]
+
+
+def _marker_files(session: Session, new: NewJob, most_takes: int) -> dict[str, InputFile]:
+    """Return the take of markers and the marker set that are named, by their roles."""
+    found: dict[str, InputFile] = {}
     for capture_id in dict.fromkeys(new.captures):
         capture = captures.get(session, new.subject_id, capture_id)
         if capture.role != "markers":
@@ -232,17 +245,11 @@ def _markers(session: Session, new: NewJob) -> list[InputFile]:
             )
         is_set = PurePath(capture.filename).suffix.lower() in ROLES["markers"].sets
         role = "marker_set" if is_set else "markers"
-        if role in found:
-            raise Problem(
-                422,
-                "job.one_take",
-                f"{new.kind} reads one take, and one marker set beside it",
-                member="captures",
-            )
+        if role in found or not (is_set or most_takes):
+            takes = "one take, and one marker set beside it" if most_takes else "one marker set"
+            raise Problem(422, "job.one_take", f"{new.kind} reads {takes}", member="captures")
         found[role] = _capture_file(role, capture)
-    if "markers" not in found:
-        raise Problem(422, "job.missing", f"{new.kind} needs a take of markers", member="captures")
-    return [*found.values()]
+    return found
 
 
 def _known_activations(session: Session, kind: Kind, new: NewJob) -> tuple[list[InputFile], NewJob]:

@@ -23,7 +23,8 @@ from sqlalchemy.orm import Session
 RUN_JOB = "myoface.run_job"
 # `ingest` is apart: a check's verdict is wanted while the person is in the chair
 INGEST = "ingest"
-QUEUES = (INGEST, "short", "long")
+LIVE = "live"  # sessions, in which a lost worker is missed at once
+QUEUES = (INGEST, "short", "long", LIVE)
 # The worker of `service.queue.outbox`: its queue is the table of deliveries, not the broker's
 WEBHOOKS = "webhooks"
 

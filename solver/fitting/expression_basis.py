@@ -103,7 +103,7 @@ class ExpressionBasis:
         """Write the changes as NPZ; they are of ``face``."""
         counts = np.array([len(each) for each in self.changes])
         arrays = {"counts": counts, "changes": np.vstack(self.changes)}
-        Archive({"format": FORMAT, "of": _of(face, self.shapes)}, arrays).write(path)
+        Archive({"format": FORMAT, "of": basis_identity(face, self.shapes)}, arrays).write(path)
 
     @classmethod
     def load(cls, path: Path, face: Face, shapes: NDArray[np.floating]) -> ExpressionBasis | None:
@@ -113,7 +113,11 @@ class ExpressionBasis:
         """
         archive = Archive.read(path, "basis", "a basis of expressions", FORMAT)
         counts, changes = (archive.arrays.get(name) for name in ("counts", "changes"))
-        if archive.header.get("of") != _of(face, shapes) or counts is None or changes is None:
+        if (
+            archive.header.get("of") != basis_identity(face, shapes)
+            or counts is None
+            or changes is None
+        ):
             return None
         fits = counts.shape == (len(shapes),) and changes.shape == (counts.sum(), face.layout.size)
         if not fits or not np.isfinite(changes).all():
@@ -151,7 +155,7 @@ def face_identity(face: Face) -> dict[str, Any]:
     }
 
 
-def _of(face: Face, shapes: NDArray[np.floating]) -> dict[str, Any]:
+def basis_identity(face: Face, shapes: NDArray[np.floating]) -> dict[str, Any]:
     """Return what a basis is of: a face, and the shapes."""
     return {
         **face_identity(face),

@@ -19,6 +19,7 @@ from solver.progress import ProgressCallback, silent
 
 if TYPE_CHECKING:
     from solver.anatomy.template import Template
+    from solver.kinds.live_channel import Channel
 
 Given = TypeVar("Given", bound=JobOptions)
 
@@ -44,6 +45,7 @@ class Task(Generic[Given]):
     role: str = "unknown"  # that its scan is meant for: neutral, expression or unknown
     resume: bool = False  # whether to go on after what an earlier attempt left in ``out``
     progress: ProgressCallback = silent
+    channel: Channel | None = None  # of a live session's messages
 
 
 def run_job(
@@ -57,6 +59,7 @@ def run_job(
     role: str = "unknown",
     resume: bool = False,
     progress: ProgressCallback = silent,
+    channel: Channel | None = None,
     jobs: str = "solver.jobs",
     **inputs: Path | str | None,
 ) -> list[Path]:
@@ -76,7 +79,7 @@ def run_job(
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     scans, beside, shown = map(_as_paths, (captures, facts, masks))
-    task = Task(folder, given, files, scans, beside, shown, role, resume, progress)
+    task = Task(folder, given, files, scans, beside, shown, role, resume, progress, channel)
     try:
         return cast(list[Path], import_module(f"{jobs}.{kind}").run(task))
     except ValueError as error:

@@ -21,15 +21,27 @@ from solver.kinds.document import (
 )
 from solver.kinds.inputs import FILES, INPUTS
 
-Queue = Literal["ingest", "short", "long"]  # while a person waits, minutes, hours
+Queue = Literal["ingest", "short", "long", "live"]
 
 BUILTIN_VERTICES = 4866  # of the built-in face's skin, which a registered scan of it has
 
-# Seconds after which a job of a queue is ended: while a person waits, at a desk, over night
-QUEUE_SECONDS: Mapping[Queue, int] = {"ingest": 120, "short": 3600, "long": 24 * 3600}
+# Seconds after which a job of a queue is ended: while a person waits, at a desk, over night, on a
+# stage
+QUEUE_SECONDS: Mapping[Queue, int] = {
+    "ingest": 120,
+    "short": 3600,
+    "long": 24 * 3600,
+    "live": 25 * 3600,
+}
 
-# Bytes that a job of a queue may leave: pictures and a registered scan, a model, films in frames
-QUEUE_BYTES: Mapping[Queue, int] = {"ingest": 1 << 30, "short": 4 << 30, "long": 16 << 30}
+# Bytes that a job of a queue may leave: pictures and a registered scan, a model, films in frames,
+# takes
+QUEUE_BYTES: Mapping[Queue, int] = {
+    "ingest": 1 << 30,
+    "short": 4 << 30,
+    "long": 16 << 30,
+    "live": 16 << 30,
+}
 
 
 class JobOptions(Document):
@@ -60,7 +72,8 @@ class Kind:
         number of theirs, ``sequences`` those that fits left, named as assets are; ``template`` is
         the subject's, ``model`` its newest, ``rig`` a fitted person, ``any_rig`` one that may be
         left out, ``blendshapes``, ``expression_basis`` and calibrated ``fibre_muscles`` are those
-        that an earlier job of the rig left; ``tracks`` one of its model, ``texture`` that of the
+        that an earlier job of the rig left, and ``live_skin`` and a ``marker_set`` without
+        its take as well; ``tracks`` one of its model, ``texture`` that of the
         registration of its neutral.
     asks
         What only a command line asks for: the ``role`` of a capture, which a service knows, and

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Literal, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from solver.errors import Finding, InputError, file_error, quote
@@ -48,7 +49,9 @@ def open_performance(path: Path, neutral: Surface, face: Ints) -> Performance:
     return opened
 
 
-def write_performance(path: Path, frames: Iterable[Floats], count: int, points: int) -> None:
+def write_performance(
+    path: Path, frames: Iterable[NDArray[np.floating]], count: int, points: int
+) -> None:
     """Write ``count`` frames (points, 3), mm, one after the other; they are never all in memory."""
     shape = (count, points, 3)
     file = np.lib.format.open_memmap(path, mode="w+", dtype=np.float32, shape=shape)
@@ -269,15 +272,20 @@ def read_live_link(path: Path) -> FaceTake:
 
 
 def write_signals(path: Path, take: FaceTake) -> None:
-    """Write a recording as :func:`read_live_link` reads it, with a column ``Seen`` besides."""
+    """Write a recording as :func:`read_live_link` reads it.
+
+    One that is not of Live Link Face has a column ``Seen`` besides; of one that is, frames without
+    a face are left out.
+    """
     bones = [take.head, take.eyes[:, 0], take.eyes[:, 1]]
     # as _rotations has it
     turns = [Rotation.from_rotvec(each).as_euler("ZYX") * [-1.0, -1.0, 1.0] for each in bones]
     angles = np.hstack([each[:, [1, 2, 0]] for each in turns])
     capital = [name[:1].upper() + name[1:] for name in ARKIT_NAMES]
+    marks = [] if take.source == "live_link" else ["Seen"]
     header = [
         TIMECODE.capitalize(),
-        "Seen",
+        *marks,
         *capital,
         *(n for names in ANGLES.values() for n in names),
     ]
@@ -285,11 +293,14 @@ def write_signals(path: Path, take: FaceTake) -> None:
         rows = csv.writer(file)
         rows.writerow(header)
         for frame, time in enumerate(take.times.tolist()):
+            if not (marks or take.seen[frame]):
+                continue
             minutes, seconds = divmod(int(time), 60)
             ticks = TICKS * (time - int(time))
             code = f"{minutes // 60:02d}:{minutes % 60:02d}:{seconds:02d}:{ticks:012.9f}"
             values = np.concatenate([take.weights[frame], angles[frame]])
-            rows.writerow([code, int(take.seen[frame]), *(f"{value:.9g}" for value in values)])
+            mark = [int(take.seen[frame])] if marks else []
+            rows.writerow([code, *mark, *(f"{value:.9g}" for value in values)])
 
 
 def _check_columns(path: Path, header: Sequence[str]) -> None:
@@ -349,6 +360,11 @@ def _rotations(angles: Floats | None, count: int) -> Floats:
     yaw, pitch, roll = angles.T
     turns = Rotation.from_euler("ZYX", np.column_stack([-roll, -yaw, pitch]))
     return np.asarray(turns.as_rotvec())
+
+
+def head_turn(angles: Floats) -> Floats:
+    """Return the rotation vector (3,) of a head's yaw, pitch and roll in radians."""
+    return np.asarray(_rotations(angles[None], 1)[0])
 
 
 def _refuse(path: Path, line: int, code: str, what: str) -> NoReturn:

@@ -262,6 +262,7 @@ def put_job(
     files: Iterable[Path],
     summary: dict[str, Any],
     rig_id: str | None = None,
+    options: dict[str, Any] | None = None,
 ) -> str:
     """Put a job that succeeded and left ``files``; returns its id."""
     request = {
@@ -269,7 +270,7 @@ def put_job(
         "subject_id": subject_id,
         "captures": [],
         "rig_id": rig_id,
-        "options": {},
+        "options": options or {},
     }
     with store.write() as session:
         job = Job(

@@ -76,7 +76,11 @@ class Controls:
 
     def skin(self, weights: Floats) -> NDArray[np.float32]:
         """Return the skin (..., v, 3) of ``weights`` (..., e) without simulation or contact, mm."""
-        return self.skin_modes.expand(self._between(weights)[..., len(self.directions) : -1])
+        return self.skin_modes.expand(self.skin_coordinates(weights))
+
+    def skin_coordinates(self, weights: Floats) -> NDArray[np.float32]:
+        """Return the coordinates (..., r) of that skin in ``skin_modes``."""
+        return self._between(weights)[..., len(self.directions) : -1]
 
     def doubt_mm(self, weights: Floats) -> Floats:
         """Return how far off the face of ``weights`` (..., e) may be, root mean squares in mm."""

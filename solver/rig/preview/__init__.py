@@ -157,7 +157,7 @@ def make_live_preview(
     listen: Listener,
     options: PreviewOptions = PreviewOptions(),
 ) -> Preview:
-    """Make sliders for :class:`solver.rig.preview.live.LiveTracker`: a template's expressions.
+    """Make sliders for a live session (``solver.live``): a template's expressions.
 
     They are those of the face's ``basis``, one that a job of its rig left or a new one. Otherwise
     as :func:`make_preview`, whose sliders span the person's own few expressions: markers of a whole

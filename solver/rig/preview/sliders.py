@@ -99,6 +99,13 @@ class Sliders:
         """Return the pose of slider ``values`` (k,)."""
         return self.rest.add(self.directions @ values)
 
+    def jaw_numbers(self, values: Floats) -> Floats:
+        """Return the jaw's numbers b in that pose, without the muscles: they take longer."""
+        layout = self.rest.layout
+        own = layout.joint_places
+        b = self.rest.b + self.directions[own] @ values
+        return np.asarray(np.clip(b, layout.lower[own], layout.upper[own]))
+
     def of_kind(self, kind: Kind) -> list[int]:
         """Return the numbers of the controls of a kind."""
         return [number for number, control in enumerate(self.each) if control.kind == kind]

@@ -1,9 +1,9 @@
 // Which kinds of job are offered beside a rig or for a person without one, by what they read.
 
-/** Return the kinds of job that need nothing but a rig and, maybe, assets. */
+/** Return the kinds of job that need nothing but a rig and, maybe, assets; sessions begin at a station. */
 export function kindsOfRigs(kinds) {
   const needless = ({ reads }) => !["captures", "performance", "markers", "photos"].some((each) => reads.includes(each));
-  return [...kinds.values()].filter((kind) => kind.reads.includes("rig") && needless(kind));
+  return [...kinds.values()].filter((kind) => kind.reads.includes("rig") && kind.queue !== "live" && needless(kind));
 }
 
 /** Return the kinds of job that fit chosen expressions with a rig. */

@@ -3,6 +3,7 @@
 //   e=smile:0.4     an expression and its weight; once for each
 //   m=frontalis_l:1 a muscle slider and its value; once for each, instead of `e`
 //   take=JOB:12     a frame of a sequence, instead of both
+//   live=SESSION    the face of a live session as it comes, instead of all these
 //   heat=0-2        distance to the scan in this range of mm; `motion:0-10` is the way from the neutral
 //   scan=clear      the scan over the fit: `clear`, `wire`, or `beside` it
 //   inside=1        muscles and bones; muscle=NAME is the one that stands out
@@ -27,6 +28,7 @@ export function fromQuery(query) {
     heat: null,
     section: null,
     take: null,
+    live: query.get("live"),
   };
   const heat = RANGE.exec(query.get("heat") ?? "");
   if (heat && HEATS.includes(heat[1] ?? "distance") && Number(heat[2]) < Number(heat[3])) {
@@ -58,6 +60,7 @@ export function toQuery(state) {
   for (const [name, value] of state.expressions) add("e", `${name}:${short(value)}`);
   for (const [name, value] of state.controls) add("m", `${name}:${short(value)}`);
   if (state.take) add("take", `${state.take.job}:${state.take.frame}`);
+  if (state.live) add("live", state.live);
   if (state.heat) {
     const { of, low, high } = state.heat;
     add("heat", `${of === "distance" ? "" : `${of}:`}${short(low)}-${short(high)}`);

@@ -142,7 +142,7 @@ export class MusclePanel {
   }
 
   #pose(controls) {
-    this.#change({ controls: positive(controls), expressions: new Map(), take: null });
+    this.#change({ controls: positive(controls), expressions: new Map(), take: null, live: null });
   }
 
   /**

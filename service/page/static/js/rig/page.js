@@ -10,6 +10,7 @@ import { copyAddress, save } from "./hand_out.js";
 import { onClick, onKeys } from "./hands.js";
 import { Legend } from "./heat.js";
 import { Inside } from "./inside.js";
+import { LivePanel } from "./live/panel.js";
 import { LookBar } from "./look_bar.js";
 import { MarkerSolids, STATES } from "./marker_solids.js";
 import { MissingPreview } from "./missing_preview.js";
@@ -41,6 +42,7 @@ export class RigPage extends EventTarget {
   #panels;
   #muscles;
   #takes;
+  #live;
   #asked = new Set();
   #preview = null;
   #inside = null;
@@ -75,14 +77,17 @@ export class RigPage extends EventTarget {
     });
     this.#muscles = new MusclePanel(face, change);
     this.#takes = new TakePanel(face.count, change, signal);
-    this.#panels = [look, expressions, this.#muscles, this.#takes];
+    this.#live = new LivePanel(rig, change, () => this.#moved(), signal);
+    this.#panels = [look, expressions, this.#muscles, this.#takes, this.#live];
     const poses = tabs("What the face does", [
       { name: "expressions", title: "Expressions", element: expressions.element },
       { name: "muscles", title: "Muscles", element: this.#muscles.element },
       { name: "takes", title: "Sequences", element: this.#takes.element },
+      { name: "live", title: "Live", element: this.#live.element },
     ]);
     if (this.state.controls.size) poses.open("muscles");
     if (this.state.take) poses.open("takes");
+    if (this.state.live) poses.open("live");
     this.#box.overlay(this.#legend.element);
     this.element = h("div", { class: "rig" },
       look.element,
@@ -113,6 +118,7 @@ export class RigPage extends EventTarget {
     this.#figure.shade(this.#signal).catch((error) => this.#fail(error));
     this.#findPreview().catch((error) => this.#fail(error));
     this.#takes.find(this.#rig).then(() => this.#update());
+    this.#live.find();
   }
 
   /** Take a part of a state, or what a function makes of the state. */
@@ -136,9 +142,14 @@ export class RigPage extends EventTarget {
     }
     if (state.take && state.take.job !== this.#take?.job) this.#readTake(state.take.job);
     for (const panel of this.#panels) panel.show(state, this.#shownTake);
+    this.#moved();
+    this.#settleSoon();
+  }
+
+  /** Have the face drawn anew before the next frame of the screen. */
+  #moved() {
     this.#isStale = true;
     this.#box.stage.invalidate();
-    this.#settleSoon();
   }
 
   /** Bring what is drawn up to the state. */
@@ -148,7 +159,8 @@ export class RigPage extends EventTarget {
     const { neutral, names } = this.#face;
     const { places } = this.#figure;
     const weights = names.map((name) => state.expressions.get(name) ?? 0);
-    if (this.#shownTake) this.#shownTake.pose(places, neutral, state.take.frame);
+    if (state.live && this.#live.hasFace) this.#live.pose(places, neutral);
+    else if (this.#shownTake) this.#shownTake.pose(places, neutral, state.take.frame);
     else if (state.controls.size && this.#preview) {
       const values = this.#preview.controls.map(({ name }) => state.controls.get(name) ?? 0);
       blend(places, neutral, this.#preview.weights(values), (r) => this.#preview.shape(r));
@@ -184,9 +196,9 @@ export class RigPage extends EventTarget {
 
   /** Show the scan of the same blend of expressions; there is none of muscles and frames. */
   #showScan(weights) {
-    const { scan, controls, take } = this.state;
+    const { scan, controls, take, live } = this.state;
     const { neutral } = this.#face;
-    const isThere = scan && !controls.size && !take;
+    const isThere = scan && !controls.size && !take && !live;
     this.#box.setPanes(isThere && scan === "beside" ? ["Fit", "Scan"] : [""]);
     this.#figure.setScan(scan, isThere
       ? blend(new Float32Array(neutral.length), neutral, weights, (k) => this.#face.scan(k)) : null);

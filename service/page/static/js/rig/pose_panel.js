@@ -42,7 +42,7 @@ export class ExpressionPanel {
 
 /** Return the part of a state that poses the face by expressions. */
 export function pose(expressions) {
-  return { expressions: positive(expressions), controls: new Map(), take: null };
+  return { expressions: positive(expressions), controls: new Map(), take: null, live: null };
 }
 
 /** Return the values above zero. */

@@ -24,7 +24,7 @@ export function summary(state, { heats, take }) {
       ? `Muscles and bones show through the skin; ${plain(state.muscle)} stands out.`
       : "Muscles and bones show through the skin.");
   }
-  if ((state.inside || state.section) && (take || state.controls.size)) {
+  if ((state.inside || state.section) && (take || state.live || state.controls.size)) {
     sentences.push("What is inside stays at rest: only the skin follows.");
   }
   if (state.section) sentences.push(`Cut at ${state.section.axis} = ${state.section.at} mm.`);
@@ -33,6 +33,7 @@ export function summary(state, { heats, take }) {
 }
 
 function pose(state, take) {
+  if (state.live) return "The face of a live session.";
   if (take) return `Frame ${state.take.frame + 1} of a sequence, at ${take.times[state.take.frame].toFixed(2)} s.`;
   if (state.controls.size) return `Muscles: ${listed(state.controls)}.`;
   if (state.expressions.size) return `Expressions: ${listed(state.expressions)}.`;

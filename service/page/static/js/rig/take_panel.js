@@ -124,7 +124,7 @@ export class TakePanel {
 
   #go(job, frame) {
     const first = job ?? this.#pick.value;
-    this.#change({ take: { job: first, frame }, expressions: new Map(), controls: new Map() });
+    this.#change({ take: { job: first, frame }, expressions: new Map(), controls: new Map(), live: null });
   }
 
   async #toggle() {

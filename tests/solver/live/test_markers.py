@@ -6,10 +6,11 @@ import pytest
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose, usual_layout
 from solver.fitting.markers.term import MarkerPlaces
+from solver.live.follow import ReducedPlaces
+from solver.live.markers import LiveMarkers
 from solver.mechanics.boundary import FreeJaw
 from solver.rig.frames.skin_basis import ReducedSkin
 from solver.rig.preview import PreviewOptions, make_live_preview
-from solver.rig.preview.live import LiveTracker, ReducedPlaces
 from solver.rig.preview.poses import ShapeSampleOptions
 from solver.rig.preview.sliders import Control, Sliders
 from solver.scans.markers.places.marker_set import Marker, MarkerSet
@@ -64,7 +65,7 @@ def test_places_derivative_matches_differences(preview, markers):
 
 @pytest.mark.long
 def test_sliders_and_head_are_followed(preview, markers):
-    tracker = LiveTracker(*preview, markers, 1.0 / 60.0)
+    tracker = LiveMarkers(*preview, markers)
     places = tracker.places
     rng = np.random.default_rng(3)
     for time in np.linspace(0.0, 2.0, 90):
@@ -74,15 +75,16 @@ def test_sliders_and_head_are_followed(preview, markers):
         points[4] += 15.0
         points[[7, 8]] = points[[8, 7]]
         points[9] = np.nan
-        frame = tracker.step(markers.session.inverse()(points))
-        assert np.abs(frame.controls - values).max() < 0.1
+        frame = tracker.follow(markers.session.inverse()(points), 1.0 / 60.0)
+        assert np.abs(frame.values - values).max() < 0.1
         assert frame.head.then(head.inverse()).degrees < 0.3
         assert frame.states[[4, 9]].tolist() == ["outlier", "missing"]
         assert frame.states[[7, 8]].tolist() == ["swapped"] * 2
         assert np.sum(frame.states == "seen") == 28
-    gone = [tracker.step(np.full((32, 3), np.nan)) for _ in range(60)][-1]
-    np.testing.assert_allclose(gone.controls, np.exp(-1.0) * frame.controls, atol=1e-3)
-    assert np.isnan(gone.residuals).all()
+    gone = [tracker.step(np.full((32, 3), np.nan), 1.0 / 60.0) for _ in range(60)][-1]
+    np.testing.assert_allclose(gone.values, np.exp(-1.0) * frame.values, atol=1e-3)
+    assert gone.is_held
+    assert not gone.clues.any()
 
 
 @pytest.mark.long
@@ -104,10 +106,10 @@ def test_simulated_flesh_is_followed_by_its_expressions(markers):
     skin_only = [each for each in markers.markers if each.label.startswith("S")]
     seen = MarkerPlaces(face.model, skin_only).at(state.x)
     still = MarkerSet(tuple(skin_only), IDENTITY, face.model.sha256)
-    tracker = LiveTracker(face.model, made.controls, made.skin, still, 1.0 / 60.0)
+    tracker = LiveMarkers(face.model, made.controls, made.skin, still)
     for _ in range(20):
-        found = tracker.step(seen)
-    off = neutral + made.skin.motion(found.controls) - skin
+        found = tracker.step(seen, 1.0 / 60.0)
+    off = neutral + made.skin.motion(found.values) - skin
     moved = np.linalg.norm((skin - neutral)[face.model.face], axis=1).mean()
     assert np.linalg.norm(off[face.model.face], axis=1).mean() < 0.15 * moved
-    np.testing.assert_allclose(found.controls, values, atol=0.1)
+    np.testing.assert_allclose(found.values, values, atol=0.1)

@@ -1,7 +1,7 @@
-"""Drive a reduced skin of expressions by markers as they come, at capture rate.
+"""Follow places on a face with the sliders of a reduced skin, at capture rate.
 
-The markers' places follow from the slider values c (k,) alone, so a frame is a few Gauss-Newton
-steps in k numbers, with the head eliminated by the same term as in fits of takes
+Places follow from the slider values c (s,) alone, so a frame is a few Gauss-Newton steps in s
+numbers, with the head eliminated by the same term as in fits of takes
 (:mod:`solver.fitting.markers.term`) and wrong points judged in the same way.
 """
 
@@ -9,19 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from solver.fitting.information import inverse_of_positive
-from solver.fitting.markers.robust import Judge, RobustOptions
+from solver.fitting.markers.robust import Judge, JudgedFrame, RobustOptions
 from solver.fitting.markers.term import HeadOptions, HeadPrior, MarkerPlaces, MarkerTerm
 from solver.fitting.prior import GaussianPrior
 from solver.model import SubjectModel
 from solver.rig.frames.skin_basis import ReducedSkin
 from solver.rig.preview.sliders import Sliders
-from solver.scans.markers.places.marker_set import Marker, MarkerSet
+from solver.scans.markers.places.marker_set import Marker
 from solver.similarity import Similarity
 from solver.surface import Floats
 
@@ -48,7 +50,7 @@ class ReducedPlaces(MarkerPlaces):
         """Return the corners (k, 3, 3) of the markers' triangles for slider values x (s,)."""
         points = self._rest + (self._skin.amounts(x) @ self._basis).reshape(-1, 3)
         if self._on_jaw.any():
-            b = self._sliders.pose(x).b
+            b = self._sliders.jaw_numbers(x)
             points[self._on_jaw] = self._sliders.jaw.move(self._rest[self._on_jaw], b)
         return np.asarray(points.reshape(-1, 3, 3))
 
@@ -56,102 +58,129 @@ class ReducedPlaces(MarkerPlaces):
         """Return the derivative of the places by slider values, (3 k, s)."""
         by_corner = (self._basis.T @ self._skin.amount_rates(x)).reshape(-1, 3, len(x))
         if self._on_jaw.any():
-            b = self._sliders.pose(x).b
+            b = self._sliders.jaw_numbers(x)
             direct = self._sliders.jaw.jacobian(self._rest[self._on_jaw], b)
             by_corner[self._on_jaw] = direct @ self._jaw_rates
         return self.motion(x, by_corner.reshape(len(self), 9, -1))
 
 
 @dataclass(frozen=True)
-class LiveOptions:
-    """Numbers of a live frame; lengths in mm."""
+class FollowOptions:
+    """Numbers of a followed frame; lengths in mm."""
 
     steps: int = 2  # Gauss-Newton steps of a frame
     spread: float = 0.4  # standard deviation of a slider
     lower: float = -0.2
     upper: float = 1.2
     forgetting: float = 1.0  # s in which a slider that nothing tells of fades to 1/e
-    noise_mm: float = 0.5  # of a point, with the preview's own error
+    noise_mm: float = 0.5  # of a point, with the reduced skin's own error
     robust: RobustOptions = field(default_factory=RobustOptions)
     head: HeadOptions = field(default_factory=lambda: HeadOptions(steps=8))
 
 
-@dataclass(frozen=True)
-class LiveFrame:
-    """Controls of one frame, and what became of its points."""
+FOLLOW = FollowOptions()
 
-    controls: Floats  # (s,) slider values
+
+@dataclass(frozen=True)
+class FollowedPoints:
+    """Slider values of one frame, and what became of its points."""
+
+    values: Floats  # (s,)
     head: Similarity  # motion into the take, in the model's axes
-    residuals: Floats  # (k,) mm, NaN where nothing was seen
+    # (k, 3) mm from the reduced skin to what was seen, in the head's axes, NaN where nothing was
+    residuals: Floats
     states: NDArray[np.str_]  # (k,) seen, missing, outlier, swapped or relabelled
 
 
 @dataclass(frozen=True)
-class LiveState:
-    """State from frame to frame: slider values (s,), their covariance, and the head."""
+class Memory:
+    """What a frame leaves to the next: slider values (s,), their covariance, and the head."""
 
     values: Floats
     covariance: Floats  # (s, s)
     head: HeadPrior | None = None  # None before the first frame
 
 
-class LiveTracker:
-    """Follows markers with the sliders of :func:`solver.rig.preview.make_live_preview`.
+@dataclass(frozen=True)
+class ExpectedFrame:
+    """Where points are expected before a frame is looked at."""
 
-    Frames come ``seconds`` after each other; ``state`` is the last one's.
+    head: HeadPrior
+    at: Floats  # (k, 3) in the head's frame
+    jacobian: Floats  # (3 k, s) their derivative by the values
+    covariance: Floats  # (s, s) of these
 
-    ``error_mm`` is the preview's own mean distance from the simulation, which residuals include.
+
+class PointJudge(Protocol):
+    """Says which points of a frame count."""
+
+    def term(
+        self, expected: ExpectedFrame, seen: Floats, precision: Floats
+    ) -> tuple[JudgedFrame, MarkerTerm]:
+        """Return a frame judged, and its term; ``seen`` and ``precision`` are (k, 3)."""
+
+
+class LabelJudge(PointJudge):
+    """Judges points as in takes, where labels may be wrong."""
+
+    def __init__(self, places: MarkerPlaces, options: FollowOptions) -> None:
+        self._judge = Judge(places, options.robust, options.head)
+
+    @override
+    def term(
+        self, expected: ExpectedFrame, seen: Floats, precision: Floats
+    ) -> tuple[JudgedFrame, MarkerTerm]:
+        spread = expected.jacobian @ expected.covariance @ expected.jacobian.T
+        return self._judge.term(expected.head, expected.at, spread, seen, precision)
+
+
+class PlaceFollower:
+    """Follows points at ``places`` by values of ``count`` sliders; the ``judge`` says which count.
+
+    The points' own standard deviations are ``sigma`` (k, 3) in mm.
     """
 
     def __init__(
         self,
-        model: SubjectModel,
-        sliders: Sliders,
-        skin: ReducedSkin,
-        markers: MarkerSet,
-        seconds: float,
-        error_mm: float = 0.0,
-        options: LiveOptions = LiveOptions(),
+        places: ReducedPlaces,
+        sigma: Floats,
+        count: int,
+        judge: PointJudge,
+        options: FollowOptions = FOLLOW,
     ) -> None:
-        used = [marker for marker in markers.markers if marker.part != "ignore"]
-        self.labels = tuple(marker.label for marker in used)
-        self.places = ReducedPlaces(model, sliders, skin, used)
-        self.error_mm = error_mm
-        self._session = markers.session
-        self._seconds = seconds
-        self._options = options
-        self._judge = Judge(self.places, options.robust, options.head)
-        variance = np.array([each.sigma_mm for each in used]) ** 2 + options.noise_mm**2
-        self._precision = np.tile((1.0 / variance)[:, None], (1, 3))
-        self._prior = GaussianPrior(
-            np.zeros(len(sliders)), options.spread**2 * np.eye(len(sliders))
-        )
+        self.places = places
+        self.options = options
+        self._judge = judge
+        self._precision = 1.0 / (sigma**2 + options.noise_mm**2)
+        self._prior = GaussianPrior(np.zeros(count), options.spread**2 * np.eye(count))
         self.begin()
 
-    def begin(self, state: LiveState | None = None) -> None:
+    def begin(self, memory: Memory | None = None) -> None:
         """Go on from a frame, or begin at rest."""
-        self.state = state or LiveState(self._prior.mean, self._prior.covariance)
+        self.memory = memory or Memory(self._prior.mean, self._prior.covariance)
 
-    def step(self, points: Floats) -> LiveFrame:
-        """Follow a frame: points (k, 3) in the take's axes, mm, in the order of ``labels``."""
-        options = self._options
-        before = self.state
-        seen = self._session(points)
-        seconds = self._seconds
-        forgetting = options.forgetting
-        prior = self._prior.after(before.values, before.covariance, seconds, forgetting)
+    def resume(self, values: Floats, head: Similarity) -> None:
+        """Go on from slider values (s,) and a head of which no more is known."""
+        options = self.options.head
+        sd = np.repeat([options.first_turn_rad, options.first_shift_mm], 3)
+        self.begin(Memory(values, self._prior.covariance, HeadPrior(head, np.diag(sd**-2))))
+
+    def step(self, seen: Floats, seconds: float) -> FollowedPoints:
+        """Follow a frame ``seconds`` after the last: points ``seen`` (k, 3) in mm, NaN for none."""
+        options = self.options
+        before = self.memory
+        prior = self._prior.after(before.values, before.covariance, seconds, options.forgetting)
         values = np.clip(prior.mean, options.lower, options.upper)
         jacobian = self.places.jacobian(values)
-        places = self.places.at(values)
-        spread = jacobian @ prior.covariance @ jacobian.T
-        head = self._head_before(seen)
-        judged, term = self._judge.term(head, places, spread, seen, self._precision)
+        head = self._head_before(seen, seconds)
+        expected = ExpectedFrame(head, self.places.at(values), jacobian, prior.covariance)
+        judged, term = self._judge.term(expected, seen, self._precision)
         values, normal = self._fit(term, prior, values, jacobian)
         placed = term.place(self.places.at(values))
         head = HeadPrior(placed.head, placed.precision)
-        self.state = LiveState(values, inverse_of_positive(normal), head)
-        residuals = np.linalg.norm(placed.points - judged.points, axis=1)
-        return LiveFrame(values, placed.head, residuals, judged.states)
+        self.memory = Memory(values, inverse_of_positive(normal), head)
+        residuals = placed.head.inverse().turn(judged.points - placed.points)
+        return FollowedPoints(values, placed.head, residuals, judged.states)
 
     def _fit(
         self, term: MarkerTerm, prior: GaussianPrior, values: Floats, jacobian: Floats
@@ -160,7 +189,7 @@ class LiveTracker:
 
         ``jacobian`` is the places' derivative (3 k, s) at the ``values`` they begin with.
         """
-        options = self._options
+        options = self.options
         precision = prior.precision
         for number in range(options.steps):
             if number:
@@ -173,9 +202,8 @@ class LiveTracker:
             values = np.clip(values - change, options.lower, options.upper)
         return values, normal
 
-    def _head_before(self, seen: Floats) -> HeadPrior:
-        at = self.places.at(self.state.values)
+    def _head_before(self, seen: Floats, seconds: float) -> HeadPrior:
+        at = self.places.at(self.memory.values)
         weights = self._precision.mean(axis=1)
-        known = self.state.head
-        options = self._options.head
-        return HeadPrior.before_frame(known, self._seconds, at, seen, weights, options)
+        known = self.memory.head
+        return HeadPrior.before_frame(known, seconds, at, seen, weights, self.options.head)

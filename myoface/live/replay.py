@@ -1,0 +1,85 @@
+"""A take in a file, played again at its own rate."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import anyio
+
+from myoface.client import Timed
+
+BEGIN = 4096  # bytes in which a recording of Live Link Face names its columns
+CLOCK, WEIGHT = b"timecode", b"jawopen"
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Frames of a file, with their times in s, and which source of a session they are."""
+
+    source: str
+    rate: float
+    frames: Iterator[Timed]
+
+    @classmethod
+    def open(cls, path: Path, rate: float = 60.0) -> Replay:
+        """Open a recording of Live Link Face, a take of markers, or a performance (.npy).
+
+        A performance says no rate: it has the one that is given, in frames a second. Raises as the
+        solver's readers do.
+        """
+        with path.open("rb") as file:
+            begin = file.read(BEGIN).lower()
+        if path.suffix.lower() == ".npy":
+            return cls._points(path, rate)
+        if CLOCK in begin and WEIGHT in begin:
+            return cls._weights(path)
+        return cls._markers(path, rate)
+
+    @classmethod
+    def _weights(cls, path: Path) -> Replay:
+        from solver.scans.performance import ARKIT_NAMES, read_live_link
+
+        take = read_live_link(path)
+        times = take.times.tolist()
+        rows = zip(times, take.weights.tolist(), strict=True)
+        frames = (Timed(at, dict(zip(ARKIT_NAMES, row, strict=True))) for at, row in rows)
+        rate = (len(times) - 1) / times[-1] if len(times) > 1 else 60.0
+        return cls("weights", rate, frames)
+
+    @classmethod
+    def _markers(cls, path: Path, rate: float) -> Replay:
+        import numpy as np
+
+        from solver.scans.markers.readers.take import read_take
+
+        take = read_take(path)
+        known = take.rate if np.isfinite(take.rate) else rate
+        frames = (
+            Timed(number / known, dict(zip(take.labels, points.tolist(), strict=True)))
+            for number, points in enumerate(take.positions)
+        )
+        return cls("markers", known, frames)
+
+    @classmethod
+    def _points(cls, path: Path, rate: float) -> Replay:
+        from solver.storage import map_array
+
+        array = map_array(path)
+        frames = (
+            Timed(number / rate, points.astype("<f4").tobytes())
+            for number, points in enumerate(array)
+        )
+        return cls("points", rate, frames)
+
+
+async def play(frames: Iterator[Timed]) -> AsyncIterator[Timed]:
+    """Yield frames when it is their time, counted from the first."""
+    began: float | None = None
+    for frame in frames:
+        now = time.monotonic()
+        began = now - frame.seconds if began is None else began
+        await anyio.sleep(max(0.0, began + frame.seconds - now))
+        yield frame

@@ -1,0 +1,302 @@
+"""The job that holds a live session."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections import Counter
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from solver.errors import InputError
+from solver.fitting.expression_basis import FILE as BASIS_FILE
+from solver.jobs import Task
+from solver.kinds.live_channel import Channel, ChannelClosedError
+from solver.kinds.live_messages import FOLLOWED, FollowedFrame, GivenFrame, Message, MessageError
+from solver.kinds.live_session import VIEW_FILE
+from solver.kinds.live_session import LiveSession as Options
+from solver.live.session import LiveOptions, LiveSession
+from solver.live.skin import FILE
+from solver.live.takes import PART, LeftTake, TakeWriter, check_name, finish_part
+from solver.live.texts import describe_frame, read_frame
+from solver.progress import Step
+from solver.storage import write_json
+
+REPORT = "live.json"
+
+
+@dataclass(frozen=True)
+class LoopOptions:
+    """Numbers of the loop that passes messages."""
+
+    wait_s: float = 0.25  # for a message, at most, before the clock is looked at
+    most_waiting: int = 64  # messages that are read before the newest frame is followed
+    fault_s: float = 1.0  # between two faults of one code that are told
+    progress_s: float = 5.0  # between two steps of the job's progress
+
+
+LOOP = LoopOptions()
+
+
+def run(task: Task[Options]) -> list[Path]:
+    """Follow the frames of a session until it ends; takes, skin and report are left.
+
+    Raises :class:`InputError` (``live.channel``) where there is no channel, as offline, and what
+    opening a session raises.
+    """
+    if task.channel is None:
+        message = "a live session needs a service that passes frames, or the command myoface live"
+        raise InputError("live.channel", message)
+    return _Loop(task, task.channel).hold()
+
+
+class _Loop:
+    """Holds one session: reads messages, follows frames, records takes."""
+
+    def __init__(self, task: Task[Options], channel: Channel) -> None:
+        self._task = task
+        self._channel = channel
+        self._begin = self._last_frame = time.monotonic()
+        self._dropped = 0
+        self._ending: str | None = None
+        self._take: TakeWriter | None = None
+        self._takes: list[dict[str, Any]] = []
+        self._faults = _Faults(channel)
+        self._shown = 0.0
+        self._is_resuming = False
+        self._waiting: list[_Given] = []
+
+    def hold(self) -> list[Path]:
+        """Hold the session and return the files that it leaves."""
+        task = self._task
+        self._rescue_takes()
+        given = task.options
+        options = LiveOptions(
+            given.source, given.rate, given.smooth_hz, given.send_skin, given.check_seconds
+        )
+        try:
+            session = LiveSession.open(task.inputs, task.out, options, self._prepare)
+        except _EndedError:
+            return self._leave(None)
+        try:
+            self._tell(session.ready())
+            self._begin = self._last_frame = time.monotonic()
+            while self._ending is None:
+                self._turn(session)
+        except (ChannelClosedError, MessageError):  # after one that is too long nothing is read
+            self._ending = "closed"
+        finally:
+            session.close()
+        return self._leave(session)
+
+    def _turn(self, session: LiveSession) -> None:
+        """Take what has come, and follow the newest frame of it."""
+        message = self._channel.receive(LOOP.wait_s)
+        for _ in range(LOOP.most_waiting):
+            if message is None:
+                break
+            self._take_message(session, message)
+            message = self._channel.receive(0.0)
+        if message is not None:
+            self._take_message(session, message)
+        self._dropped += max(len(self._waiting) - 1, 0)
+        if self._waiting:
+            self._follow(session, self._waiting[-1])
+            self._waiting.clear()
+        self._look_at_clock(session)
+
+    def _take_message(self, session: LiveSession, message: Message) -> None:
+        """Take a message: a frame, or what a client wants."""
+        number = None
+        try:
+            if message.data.startswith(FOLLOWED) and not message.is_text:
+                self._resume(session, FollowedFrame.unpack(message.data))
+                return
+            given = (
+                self._take_text(session, message.data)
+                if message.is_text
+                else _Given(GivenFrame.unpack(message.data))
+            )
+            if given is None:
+                return
+            number = given.frame.number
+            numbers = session.read(given.frame)
+        except MessageError as error:
+            self._faults.tell("live.message", str(error), number)
+            return
+        except InputError as error:
+            self._faults.tell(error.code, error.message, number)
+            return
+        self._last_frame = time.monotonic()
+        if self._take is not None:
+            self._take.add(given.frame.seconds, numbers)
+            if self._take.is_full:
+                self._faults.tell("live.take_full", "the take is as long as it may be", number)
+                self._stop(session)
+        self._waiting.append(given)
+
+    def _take_text(self, session: LiveSession, data: bytes) -> _Given | None:
+        """Take JSON: a frame of numbers as people write them, or what is wanted."""
+        said = _read_object(data)
+        if "number" in said:
+            return _Given(read_frame(said, session.source), is_text=True)
+        if "record" in said:
+            self._record(session, said["record"])
+        elif said.get("stop"):
+            self._stop(session)
+        elif said.get("end"):
+            self._ending = "asked"
+        elif said.get("resume"):
+            self._is_resuming = True  # the frame comes next
+        else:
+            names = ", ".join(sorted(map(str, said))) or "nothing"
+            raise MessageError(
+                f"a message says number, record, stop or end: this one says {names[:60]}"
+            )
+        return None
+
+    def _resume(self, session: LiveSession, frame: FollowedFrame) -> None:
+        """Go on from the frame that an earlier attempt followed last, if it was told before."""
+        if not self._is_resuming:
+            raise MessageError("a followed frame is the session's to send")
+        self._is_resuming = False
+        self._dropped = frame.dropped
+        session.resume(frame)
+
+    def _follow(self, session: LiveSession, given: _Given) -> None:
+        followed = session.step(given.frame, self._dropped)
+        if not given.is_text:
+            self._channel.send(Message(followed.pack()))
+            return
+        self._tell(describe_frame(followed, session))
+
+    def _record(self, session: LiveSession, name: object) -> None:
+        """Begin a take; one that is being recorded is stopped before."""
+        self._stop(session)
+        source = session.options.source
+        chosen = check_name(name, self._task.out, source)
+        shape = (session.source.rows, session.source.width)
+        self._take = TakeWriter(self._task.out, chosen, source, session.source.labels, shape)
+        self._tell({"type": "recording", "name": chosen})
+
+    def _stop(self, session: LiveSession | None) -> None:
+        """End the take that is being recorded, if there is one."""
+        if self._take is None:
+            return
+        take = self._take.finish()
+        self._take = None
+        if take is not None:
+            told = {} if session is None else {"error_mm": _rounded(session.errors.told)}
+            self._left(take, told)
+
+    def _left(self, take: LeftTake, more: Mapping[str, Any]) -> None:
+        self._takes.append({**asdict(take), **more})
+        self._tell({"type": "take", **asdict(take)})
+
+    def _look_at_clock(self, session: LiveSession) -> None:
+        now = time.monotonic()
+        given = self._task.options
+        if self._ending is not None:
+            return
+        if now - self._last_frame > given.idle_seconds:
+            self._ending = "idle"
+        elif now - self._begin > given.max_seconds:
+            self._ending = "limit"
+        if now - self._shown > LOOP.progress_s:
+            self._shown = now
+            part = min((now - self._begin) / given.max_seconds, 1.0)
+            words = f"{session.frames} frames"
+            self._task.progress(Step("live", 0.1 + 0.85 * part, session.frames, message=words))
+
+    def _prepare(self, phase: str, part: float) -> None:
+        """Tell what is made before the session can begin; frames that come are dropped."""
+        self._tell({"type": "preparing", "phase": phase, "fraction": round(part, 3)})
+        self._task.progress(Step(phase, 0.1 * part))
+        while (message := self._channel.receive(0.0)) is not None:
+            if not message.is_text:
+                self._dropped += 1
+                continue
+            with suppress(MessageError):
+                if _read_object(message.data).get("end"):
+                    self._ending = "asked"
+                    raise _EndedError
+
+    def _tell(self, said: Mapping[str, Any]) -> None:
+        self._channel.send(Message(json.dumps(said).encode(), is_text=True))
+
+    def _rescue_takes(self) -> None:
+        """Finish takes that an attempt before was recording when it died."""
+        parts = sorted(self._task.out.glob(f"take_*{PART}")) if self._task.resume else []
+        for part in parts:
+            take = finish_part(part)
+            if take is not None:
+                self._left(take, {"rescued": True})
+
+    def _leave(self, session: LiveSession | None) -> list[Path]:
+        """Finish what is being recorded, say the end, and write the report."""
+        out = self._task.out
+        reason = self._ending or "closed"
+        with suppress(ChannelClosedError):
+            self._stop(session)
+            self._tell({"type": "ended", "reason": reason})
+        figures = {} if session is None else session.figures()
+        seconds = round(time.monotonic() - self._begin, 1)
+        report = {**figures, "dropped": self._dropped, "seconds": seconds, "ended": reason}
+        write_json(out / REPORT, {**report, "faults": self._faults.counts, "takes": self._takes})
+        self._task.progress(Step("done", 1.0))
+        takes = [out / take["file"] for take in self._takes]
+        made = [out / name for name in (FILE, VIEW_FILE, BASIS_FILE) if (out / name).is_file()]
+        return [out / REPORT, *made, *takes]
+
+
+@dataclass(frozen=True)
+class _Given:
+    """A frame that has come; one of JSON is answered by JSON."""
+
+    frame: GivenFrame
+    is_text: bool = False
+
+
+class _EndedError(Exception):
+    """The client has ended the session before it began."""
+
+
+class _Faults:
+    """Tells faults of messages, those of one code once a while; all are counted."""
+
+    def __init__(self, channel: Channel) -> None:
+        self.counts: Counter[str] = Counter()
+        self._channel = channel
+        self._told: dict[str, float] = {}
+
+    def tell(self, code: str, message: str, number: int | None) -> None:
+        """Count a fault, which is about the frame with a number if it is about one."""
+        self.counts[code] += 1
+        now = time.monotonic()
+        if now - self._told.get(code, -math.inf) < LOOP.fault_s:
+            return
+        self._told[code] = now
+        said = {"type": "fault", "code": code, "message": message, "number": number}
+        self._channel.send(Message(json.dumps(said).encode(), is_text=True))
+
+
+def _read_object(data: bytes) -> dict[str, Any]:
+    try:
+        said = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise MessageError(f"the message is no JSON: {str(error)[:100]}") from error
+    if not isinstance(said, dict):
+        raise MessageError("a message is an object of JSON")
+    return said
+
+
+def _rounded(told: tuple[float, float]) -> dict[str, float | None]:
+    """Return a running error as JSON values."""
+    return {
+        name: round(value, 4) if math.isfinite(value) else None
+        for name, value in zip(("p50", "p95"), told, strict=True)
+    }

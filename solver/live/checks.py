@@ -1,0 +1,246 @@
+"""Solve sampled frames of a live session in full beside it, in a process of their own.
+
+A full solve is what the exact job would make of the frame: markers and points are fitted by all
+muscles; where a frame says weights (or landmarks, of which there is no other fit) the flesh comes
+to rest under what the muscles do at the session's values. Its distance from the skin that was sent
+is the running error, and what the skin lacks is learned (:mod:`.mending`).
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import override
+
+from solver.errors import InputError, SolveError
+from solver.fitting import prior
+from solver.fitting.activation import unseen_regulariser
+from solver.fitting.markers.observation import Markers, SeenMarkers
+from solver.fitting.markers.term import MarkerPlaces
+from solver.fitting.tracking import Tracker
+from solver.fitting.tracking.dense import DensePoints, HeadAndFace, SeenPoints, stillness
+from solver.kinds.live_session import Source
+from solver.live.mending import Mend, Mender
+from solver.live.rigged import LiveFace
+from solver.scans.markers.places.marker_set import MarkerSet
+from solver.surface import Floats
+
+
+@dataclass(frozen=True)
+class CheckOptions:
+    """How frames are solved beside a session."""
+
+    pause_s: float = 0.5  # between two of them
+    niceness: int = 10  # of their process: frames come first
+    ending_s: float = 3.0  # that it gets to end
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A frame that was followed: what came, and what was sent of it."""
+
+    number: int
+    numbers: NDArray[np.float32]  # (rows, width)
+    values: Floats  # (s,)
+    clues: Floats  # (d,)
+    plain: Floats  # (r,) amounts of the skin as it is without mending
+    sent: Floats  # (r,) amounts that were sent
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """A sample that was solved in full: ``error_mm`` is the face's mean distance; None: it failed.
+
+    ``mend`` is what is known of the skin since.
+    """
+
+    number: int
+    error_mm: float | None
+    solve_ms: float
+    mend: Mend | None = None
+
+
+@dataclass(frozen=True)
+class CheckOrder:
+    """What the process of full solves is told: files by their roles as a job has them."""
+
+    files: Mapping[str, Path]
+    out: Path  # where the session has left the reduced skin
+    source: Source
+    options: CheckOptions
+
+
+class FullSolver(Protocol):
+    """Solves frames of a kind in full."""
+
+    def solve(self, sample: Sample) -> Floats | None:
+        """Return the skin (n, 3) in the head's frame; None where there is none."""
+
+
+class FleshSolver(FullSolver):
+    """The flesh at rest under what muscles and jaw do at the values of a frame."""
+
+    def __init__(self, face: LiveFace) -> None:
+        self._live = face
+        self._state = face.face.rest
+
+    @override
+    def solve(self, sample: Sample) -> Floats | None:
+        face = self._live.face
+        pose = self._live.pose(sample.values)
+        for start in (self._state, face.rest):
+            with suppress(SolveError):
+                self._state = face.continuation(start, pose)
+                return face.whole_skin(self._state.x, pose.b)
+        return None
+
+
+class MarkerSolver(FullSolver):
+    """The fit of a take's markers, by the prior of the template's expressions."""
+
+    def __init__(self, face: LiveFace, markers: MarkerSet, seconds: float) -> None:
+        used = [marker for marker in markers.markers if marker.part != "ignore"]
+        places = MarkerPlaces(face.rig.model, used)
+        sigma = np.array([marker.sigma_mm for marker in used])
+        known = prior.from_basis(face.face, face.basis)
+        self._session = markers.session
+        self._tracker = Tracker(Markers(face.face, places, sigma, known, seconds))
+
+    @override
+    def solve(self, sample: Sample) -> Floats | None:
+        found = self._tracker.step(SeenMarkers(self._session(sample.numbers.astype(float))))
+        if found.kept or found.predicted:
+            return None
+        return self._tracker.face.whole_skin(found.state.x, found.state.pose.b)
+
+
+class PointSolver(FullSolver):
+    """The fit of all points of the face."""
+
+    def __init__(self, face: LiveFace) -> None:
+        self._ids = face.rig.model.face
+        points = HeadAndFace(still=stillness(face.face))
+        self._tracker = Tracker(DensePoints(face.face, unseen_regulariser(face.face), points))
+
+    @override
+    def solve(self, sample: Sample) -> Floats | None:
+        points = sample.numbers[self._ids].astype(float)
+        seen = np.isfinite(points).all(axis=1)
+        found = self._tracker.step(SeenPoints(points, seen.astype(float)))
+        if found.status != "fitted":
+            return None
+        return self._tracker.face.whole_skin(found.state.x, found.state.pose.b)
+
+
+def open_solver(
+    face: LiveFace, source: Source, files: Mapping[str, Path], pause: float
+) -> FullSolver:
+    """Return what solves frames of a source that come ``pause`` seconds after each other."""
+    if source == "markers":
+        markers = MarkerSet.load(files["marker_set"], face.rig.model)
+        return MarkerSolver(face, markers, pause)
+    return PointSolver(face) if source == "points" else FleshSolver(face)
+
+
+class Checks:
+    """Solves samples in full, one after another, and mends the skin by them."""
+
+    def __init__(self, face: LiveFace, solver: FullSolver) -> None:
+        self._face = face
+        self._solver = solver
+        self._mender = Mender()
+        self._shown = face.rig.model.face
+
+    def check(self, sample: Sample) -> Checked:
+        """Solve a sample."""
+        begin = time.perf_counter()
+        skin = self._solver.solve(sample)
+        spent = 1e3 * (time.perf_counter() - begin)
+        if skin is None or not np.isfinite(skin).all():
+            return Checked(sample.number, None, spent)
+        off = (self._face.skin_of(sample.sent) - skin)[self._shown]
+        error = float(np.linalg.norm(off, axis=1).mean())
+        self._mender.add(sample.values, sample.clues, self._face.project(skin) - sample.plain)
+        return Checked(sample.number, error, spent, self._mender.mend())
+
+
+class CheckProcess:
+    """The process of full solves, and the thread that talks to it.
+
+    ``tell`` gets what was solved, in that thread.
+    """
+
+    def __init__(self, order: CheckOrder, tell: Callable[[Checked], None]) -> None:
+        context = multiprocessing.get_context("spawn")
+        # two pipes: a confined process may make no pair of sockets
+        theirs, self._send = context.Pipe(duplex=False)
+        self._receive, answer = context.Pipe(duplex=False)
+        self._process = context.Process(target=_work, args=(order, theirs, answer), daemon=True)
+        self._process.start()
+        theirs.close()
+        answer.close()
+        self._options = order.options
+        self._tell = tell
+        self._orders: queue.SimpleQueue[Sample | None] = queue.SimpleQueue()
+        self._is_idle = False
+        self._next = 0.0
+        self._thread = threading.Thread(target=self._talk, daemon=True)
+        self._thread.start()
+
+    @property
+    def wants_one(self) -> bool:
+        """Return whether the next frame should be offered."""
+        return self._is_idle and time.monotonic() >= self._next
+
+    def offer(self, sample: Sample) -> None:
+        """Have a sample solved; call it where one is wanted."""
+        self._is_idle = False
+        self._orders.put(sample)
+
+    def close(self) -> None:
+        """End the process."""
+        self._is_idle = False
+        self._orders.put(None)
+        self._process.join(self._options.ending_s)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._thread.join(self._options.ending_s)
+
+    def _talk(self) -> None:
+        with suppress(EOFError, OSError):  # the process has died: there are no more checks
+            self._receive.recv()  # it is ready
+            while True:
+                self._is_idle = True
+                sample = self._orders.get()
+                self._send.send(sample)
+                if sample is None:
+                    break
+                self._tell(self._receive.recv())
+                self._next = time.monotonic() + self._options.pause_s
+        self._is_idle = False
+
+
+def _work(order: CheckOrder, receive: Connection, send: Connection) -> None:
+    """Solve what comes until there is no more, or the session has died."""
+    with suppress(OSError):
+        os.nice(order.options.niceness)
+    with suppress(EOFError, OSError, InputError):
+        face = LiveFace.open(order.files, order.out)
+        pause = max(order.options.pause_s, 1e-2)
+        checks = Checks(face, open_solver(face, order.source, order.files, pause))
+        send.send(None)
+        while (sample := receive.recv()) is not None:
+            send.send(checks.check(sample))

@@ -1,0 +1,119 @@
+"""Follow MediaPipe's landmarks as they come: places in a picture by an unknown camera.
+
+A frame's landmarks are in pixels or any other unit, x to the right, y down and z away from the
+camera. The size of a unit is found in every frame, by the similarity that takes the face as it is
+expected to what was seen; depth, which a detector guesses, counts less.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from typing_extensions import override
+
+from solver.anatomy.skin_points import SkinPoints
+from solver.errors import InputError
+from solver.fitting.markers.robust import RobustOptions
+from solver.live.follow import FollowOptions, PlaceFollower, ReducedPlaces
+from solver.live.markers import as_live
+from solver.live.points import PointOptions, RobustPoints
+from solver.live.source import LiveFrame, LiveSource
+from solver.model import SubjectModel
+from solver.rig.frames.skin_basis import ReducedSkin
+from solver.rig.preview.sliders import Sliders
+from solver.scans.markers.places.marker_set import Marker
+from solver.similarity import Similarity, fit_similarity
+from solver.surface import Floats
+
+COUNT = 478  # landmarks of a frame, the last ten of the irises
+IMAGE_AXES = np.diag([1.0, -1.0, -1.0])  # of a picture in those of a face that looks out of it
+
+
+@dataclass(frozen=True)
+class LandmarkOptions:
+    """What landmarks are worth; lengths in mm."""
+
+    least: int = 20  # that a template must have, and a frame must show
+    depth: float = 4.0  # times as uncertain as in the picture's plane
+    spread: float = 0.5  # part of a landmark's spread over pictures that is noise of a frame
+    follow: PointOptions = field(
+        default_factory=lambda: PointOptions(
+            wrong_mm=8.0, follow=FollowOptions(noise_mm=1.0, robust=RobustOptions(scale_mm=4.0))
+        )
+    )
+
+
+class LiveLandmarks(LiveSource):
+    """Follows the landmarks (478, 3) of a detector, at the ``points`` that a template has of them.
+
+    Raises :class:`InputError` (``live.no_landmarks``) where that has too few.
+    """
+
+    rows = COUNT
+    width = 3
+    labels: tuple[str, ...] = ()
+
+    def __init__(
+        self,
+        model: SubjectModel,
+        sliders: Sliders,
+        skin: ReducedSkin,
+        points: SkinPoints,
+        options: LandmarkOptions = LandmarkOptions(),
+    ) -> None:
+        found = points.select([name for name in points.names if _is_landmark(name)])
+        if len(found.names) < options.least:
+            message = (
+                f"the template has {len(found.names)} of a detector's landmarks, of which "
+                f"{options.least} are needed: send weights instead"
+            )
+            about = {"found": len(found.names), "expected": options.least}
+            raise InputError("live.no_landmarks", message, **about)
+        self._used = np.array([int(name) for name in found.names])
+        self._options = options
+        self.clue_count = 3 * len(self._used)
+        markers = [
+            Marker(name, _three(corners), _shares(weights))
+            for name, corners, weights in zip(
+                found.names, found.corners.tolist(), found.weights.tolist(), strict=True
+            )
+        ]
+        self._places = ReducedPlaces(model, sliders, skin, markers)
+        sigma = options.spread * found.spread_mm[:, None] * [1.0, 1.0, options.depth]
+        judge = RobustPoints(self._places, options.follow)
+        own = options.follow.follow
+        self._follower = PlaceFollower(self._places, sigma, len(sliders), judge, own)
+
+    @override
+    def step(self, numbers: Floats, seconds: float) -> LiveFrame:
+        seen = numbers[self._used] @ IMAGE_AXES
+        known = np.isfinite(seen).all(axis=1)
+        if known.sum() < self._options.least:
+            found = self._follower.step(np.full_like(seen, np.nan), seconds)
+            return replace(as_live(found), is_held=True)
+        at = self._places.at(self._follower.memory.values)
+        size = fit_similarity(at[known], seen[known]).scale
+        return as_live(self._follower.step(seen / max(size, 1e-9), seconds))
+
+    @override
+    def begin(self) -> None:
+        self._follower.begin()
+
+    @override
+    def resume(self, values: Floats, head: Similarity) -> None:
+        self._follower.resume(values, head)
+
+
+def _is_landmark(name: str) -> bool:
+    return name.isdecimal() and int(name) < COUNT
+
+
+def _three(corners: list[int]) -> tuple[int, int, int]:
+    first, second, third = corners
+    return first, second, third
+
+
+def _shares(weights: list[float]) -> tuple[float, float, float]:
+    first, second, third = weights
+    return first, second, third

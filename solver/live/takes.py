@@ -1,0 +1,233 @@
+"""Takes that a live session records: every frame that came, as the jobs of exact fits read them.
+
+Markers are left as NPZ (:func:`~solver.scans.markers.readers.take.read_take`), weights as a
+recording of Live Link Face, points as an array of frames (:mod:`solver.scans.performance`),
+landmarks as NPZ of ``names`` and ``points``. While a take is recorded its frames are in a file of
+plain numbers, so that nothing is lost where a process dies.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.errors import InputError, quote
+from solver.kinds.live_session import Source
+from solver.live.landmarks import IMAGE_AXES
+from solver.scans.markers.readers.take import Take
+from solver.scans.performance import ARKIT_NAMES, FaceTake, head_turn, write_performance
+from solver.scans.performance import write_signals as write_recording
+from solver.surface import Floats
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+PART = ".part"  # of a take that is being recorded
+
+
+@dataclass(frozen=True)
+class TakeOptions:
+    """Bounds of a take."""
+
+    most_bytes: int = 4 << 30
+    most_frames: int = 1_000_000
+    longest_gap_s: float = 60.0  # in a take of frames at even times: more of it is left out
+
+
+@dataclass(frozen=True)
+class LeftTake:
+    """A take as a session leaves it."""
+
+    name: str
+    file: str
+    frames: int
+    seconds: float
+
+
+class TakeWriter:
+    """Writes the frames of one take as they come; ``rows`` have ``width`` numbers each."""
+
+    def __init__(
+        self,
+        folder: Path,
+        name: str,
+        source: Source,
+        labels: Sequence[str],
+        shape: tuple[int, int],
+        options: TakeOptions = TakeOptions(),
+    ) -> None:
+        self.name = name
+        self.frames = 0
+        self._path = folder / f"{file_name(name, source)}{PART}"
+        self._options = options
+        self._row = _row(shape)
+        self._stream = self._path.open("wb")
+        header = {"name": name, "source": source, "labels": list(labels), "shape": list(shape)}
+        self._stream.write(json.dumps(header).encode() + b"\n")
+
+    @property
+    def is_full(self) -> bool:
+        """Return whether no more frames may be added."""
+        options = self._options
+        size = self.frames * self._row.itemsize
+        return self.frames >= options.most_frames or size >= options.most_bytes
+
+    def add(self, seconds: float, numbers: NDArray[np.float32]) -> None:
+        """Write a frame (rows, width) at a time of the station's."""
+        row = np.zeros((), self._row)
+        row["seconds"] = seconds
+        row["numbers"] = numbers
+        self._stream.write(row.tobytes())
+        self.frames += 1
+
+    def finish(self) -> LeftTake | None:
+        """Leave the take's file; None of a take without frames, which leaves nothing."""
+        self._stream.close()
+        return finish_part(self._path, self._options)
+
+
+def file_name(name: str, source: Source) -> str:
+    """Return the file of a take."""
+    return f"take_{name}{SUFFIXES[source]}"
+
+
+def check_name(name: object, folder: Path, source: Source) -> str:
+    """Return a take's name as it may stand in a file's.
+
+    One that is taken gets a number behind it. Raises :class:`InputError` (``live.take_name``).
+    """
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        message = (
+            f"'{quote(name)}' is no name of a take: letters, digits, '.', '_' and '-', 64 at most"
+        )
+        raise InputError("live.take_name", message, found=quote(name))
+    chosen = name
+    number = 1
+    while (folder / file_name(chosen, source)).exists():
+        number += 1
+        chosen = f"{name}-{number}"
+    return chosen
+
+
+def finish_part(path: Path, options: TakeOptions = TakeOptions()) -> LeftTake | None:
+    """Make the file of a take of what was recorded of it; None where it has no whole frame."""
+    with path.open("rb") as stream:
+        header = json.loads(stream.readline())
+        begin = stream.tell()
+    row = _row(tuple(header["shape"]))
+    count = (path.stat().st_size - begin) // row.itemsize
+    if not count:
+        path.unlink()
+        return None
+    frames = np.memmap(path, row, "r", begin, (count,))
+    out = path.with_name(path.name.removesuffix(PART))
+    seconds = np.array(frames["seconds"])
+    later = np.flatnonzero(np.append(True, np.diff(np.maximum.accumulate(seconds)) > 0))
+    seconds = seconds[later]
+    source: Source = header["source"]
+    WRITERS[source](_Recorded(out, header["labels"], seconds, frames["numbers"], later, options))
+    del frames
+    path.unlink()
+    return LeftTake(header["name"], out.name, len(later), float(seconds[-1] - seconds[0]))
+
+
+@dataclass(frozen=True)
+class _Recorded:
+    """Frames to be written: those of the ``rows`` (f,) of ``numbers``, at ``seconds`` (f,)."""
+
+    path: Path
+    labels: Sequence[str]
+    seconds: Floats
+    numbers: NDArray[np.float32]
+    rows: NDArray[np.int64]
+    options: TakeOptions
+
+    def rate(self) -> float:
+        """Return the usual number of frames a second; 60 of a single frame."""
+        if len(self.seconds) < 2:
+            return 60.0
+        return float(np.clip(1.0 / np.median(np.diff(self.seconds)), 1.0, 1000.0))
+
+    def even(self) -> NDArray[np.int64]:
+        """Return the row of every frame at even times, -1 for one that did not come."""
+        steps = np.rint(np.diff(self.seconds) * self.rate()).astype(np.int64)
+        most = int(self.options.longest_gap_s * self.rate())
+        places = np.append(0, np.cumsum(np.clip(steps, 0, most)))
+        found = np.full(places[-1] + 1, -1, np.int64)
+        found[places] = self.rows
+        return found
+
+    def points(self) -> Floats:
+        """Return frames (f, k, 3) at even times, NaN where nothing was seen."""
+        rows = self.even()
+        points = np.array(self.numbers[np.maximum(rows, 0)], np.float64)
+        points[(rows < 0)[:, None] | ~np.isfinite(points).all(axis=2)] = np.nan
+        return points
+
+
+def _write_markers(made: _Recorded) -> None:
+    Take(made.path.name, tuple(made.labels), made.points(), made.rate()).save(made.path)
+
+
+def _write_landmarks(made: _Recorded) -> None:
+    points = made.points() @ IMAGE_AXES
+    names = np.array([str(number) for number in range(points.shape[1])])
+    np.savez_compressed(made.path, names=names, points=points, rate=made.rate())
+
+
+def _write_points(made: _Recorded) -> None:
+    rows = made.even()
+    nothing = np.full(made.numbers.shape[1:], np.nan, np.float32)
+    frames = (made.numbers[row] if row >= 0 else nothing for row in rows.tolist())
+    write_performance(made.path, frames, len(rows), made.numbers.shape[1])
+
+
+def _write_weights(made: _Recorded) -> None:
+    numbers = np.array(made.numbers[made.rows, :, 0], np.float64)
+    count = len(ARKIT_NAMES)
+    seen = np.asarray(np.isfinite(numbers[:, :count]).any(axis=1))
+    held = _hold(numbers)
+    turns = [
+        np.array([head_turn(angles) for angles in held[:, count + 3 * bone : count + 3 * bone + 3]])
+        for bone in range(3)
+    ]
+    take = FaceTake(
+        made.seconds - made.seconds[0],
+        np.clip(held[:, :count], 0.0, 1.0),
+        turns[0],
+        np.stack(turns[1:], axis=1),
+        seen,
+        "live_link",
+    )
+    write_recording(made.path, take)
+
+
+def _hold(numbers: Floats) -> Floats:
+    """Return columns (f, c) whose NaN are as the last number before, 0 before the first."""
+    known = np.isfinite(numbers)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(numbers))[:, None], -1), axis=0)
+    found = np.take_along_axis(np.nan_to_num(numbers), np.maximum(last, 0), axis=0)
+    return np.where(last < 0, 0.0, found)
+
+
+SUFFIXES: Final[dict[Source, str]] = {
+    "markers": ".npz",
+    "weights": ".csv",
+    "points": ".npy",
+    "landmarks": ".npz",
+}
+WRITERS: Final[dict[Source, Callable[[_Recorded], None]]] = {
+    "markers": _write_markers,
+    "weights": _write_weights,
+    "points": _write_points,
+    "landmarks": _write_landmarks,
+}
+
+
+def _row(shape: tuple[int, ...]) -> np.dtype[np.void]:
+    return np.dtype([("seconds", "<f8"), ("numbers", "<f4", shape)])

@@ -1,0 +1,223 @@
+"""A session as its job holds it: messages in and out, clocks, faults, takes and full solves."""
+
+import json
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from solver.errors import InputError
+from solver.jobs import run_job
+from solver.kinds.live_channel import Channel, ChannelClosedError
+from solver.kinds.live_messages import GAP, HELD, RESUMED, FollowedFrame, GivenFrame, Message
+from solver.live.session import Counts, LiveOptions, LiveSession
+from solver.scans.performance import ARKIT_NAMES, read_live_link
+from tests.solver.live.live_rig import live_files
+
+OPEN = np.zeros(52, "<f4")
+JAW_OPEN = ARKIT_NAMES.index("jawOpen")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return live_files(tmp_path_factory.mktemp("rig"))
+
+
+class Client:
+    """The client's end of a job that holds a session."""
+
+    def __init__(self, files, out, **options):
+        self.channel, theirs = Channel.pair()
+        self.left = None
+        self.error = None
+
+        def hold():
+            try:
+                given = {"check_seconds": 0, **options}
+                self.left = run_job("live_session", out, options=given, channel=theirs, **files)
+            except InputError as error:
+                self.error = error
+
+        self.thread = threading.Thread(target=hold)
+        self.thread.start()
+
+    def say(self, **said):
+        self.channel.send(Message(json.dumps(said).encode(), is_text=True))
+
+    def frame(self, number, seconds, numbers=OPEN):
+        self.channel.send(Message(GivenFrame(number, seconds, numbers.tobytes()).pack()))
+
+    def hear(self, wanted=None):
+        """Return the next message, the next of a type if one is wanted."""
+        while True:
+            message = self.channel.receive(60.0)
+            assert message is not None
+            if not message.is_text:
+                found = FollowedFrame.unpack(message.data)
+                if wanted is None:
+                    return found
+                continue
+            found = json.loads(message.data)
+            if wanted is None or found["type"] == wanted:
+                return found
+
+    def followed(self):
+        while isinstance(found := self.hear(), dict):
+            pass
+        return found
+
+
+def test_a_session_is_held_recorded_and_reported(files, tmp_path):
+    client = Client(files, tmp_path)
+    ready = client.hear("ready")
+    assert ready["expects"]["rows"] == 61
+    sizes = {each["name"]: int(np.prod(each["shape"])) for each in ready["layout"]}
+    client.say(record="smile")
+    assert client.hear("recording")["name"] == "smile"
+    for number in range(5):
+        weights = OPEN.copy()
+        weights[JAW_OPEN] = 0.1 * number
+        client.frame(number, 1.0 + number / 60, weights)
+        found = client.followed()
+        assert (found.number, found.flags) == (number, 0)
+        assert len(found.numbers) == 4 * sum(sizes.values())
+    client.say(number=5, seconds=1.1, weights={"JawOpen": 0.5, "eyeBlinkLeft": None})
+    said = client.hear("frame")
+    assert said["weights"]["jawOpen"] == pytest.approx(0.5)
+    assert said["error_p50_mm"] is None
+    client.say(stop=True)
+    assert client.hear("take")["frames"] == 6
+    client.say(end=True)
+    assert client.hear("ended")["reason"] == "asked"
+    client.thread.join()
+    names = {path.name for path in client.left}
+    assert {"live.json", "live_skin.npz", "live_view.bin", "take_smile.csv"} <= names
+    assert len(read_live_link(tmp_path / "take_smile.csv").times) == 6
+    report = json.loads((tmp_path / "live.json").read_text())
+    assert report["frames"] == 6
+    assert report["takes"][0]["file"] == "take_smile.csv"
+    assert report["solve_ms"]["p99"] < 1000
+
+
+def test_bad_messages_are_told_and_the_session_goes_on(files, tmp_path):
+    client = Client(files, tmp_path)
+    client.hear("ready")
+    client.frame(1, 0.0, np.zeros(7, "<f4"))
+    assert client.hear("fault")["code"] == "live.frame"
+    for data in (b"MYF>", b"garbage", b""):
+        client.channel.send(Message(data))
+    assert client.hear("fault")["code"] == "live.message"
+    client.say(record="../x")
+    assert client.hear("fault")["code"] == "live.take_name"
+    client.say(number=-1, seconds=0, weights={})
+    client.say(number=1, seconds=0, weights={"noName": 1})
+    client.say(number=1, seconds=0, values=[[0, 0, 0]])
+    client.channel.send(Message(b"[" * 100_000, is_text=True))
+    client.frame(2, 0.0, np.full(61, np.nan, "<f4"))
+    assert client.followed().flags == HELD
+    client.frame(3, 0.0, np.full(61, np.inf, "<f4"))
+    assert client.followed().flags == HELD
+    client.channel.close()
+    client.thread.join()
+    report = json.loads((tmp_path / "live.json").read_text())
+    assert report["ended"] == "closed"
+    assert report["faults"]["live.message"] == 7
+
+
+def test_clocks_that_jump_begin_anew_and_frames_too_fast_are_dropped(files, tmp_path):
+    session = LiveSession.open(files, tmp_path, LiveOptions("weights", check_seconds=0))
+    flags = [
+        session.step(GivenFrame(number, seconds, OPEN.tobytes())).flags
+        for number, seconds in enumerate([0.0, 0.1, 0.1, 0.05, 0.06, 9.0, 9.5])
+    ]
+    assert flags == [0, 0, 0, GAP, 0, GAP, 0]
+    with pytest.raises(InputError) as caught:
+        session.step(GivenFrame(9, float("nan"), OPEN.tobytes()))
+    assert caught.value.code == "live.frame"
+    client = Client(files, tmp_path)
+    client.hear("ready")
+    for number in range(200):
+        client.frame(number, number / 1e4)
+    client.say(end=True)
+    last = [client.followed() for _ in range(1)][-1]
+    while not isinstance(found := client.hear(), dict):
+        last = found
+    client.thread.join()
+    report = json.loads((tmp_path / "live.json").read_text())
+    assert report["dropped"] > 0
+    assert report["frames"] + report["dropped"] == 200
+    assert last.number == 199
+
+
+def test_another_attempt_goes_on_from_the_last_frame(files, tmp_path):
+    session = LiveSession.open(files, tmp_path, LiveOptions("weights", check_seconds=0))
+    weights = OPEN.copy()
+    weights[JAW_OPEN] = 0.8
+    last = session.step(GivenFrame(4, 1.0, weights.tobytes()), dropped=3)
+    client = Client(files, tmp_path)
+    client.say(resume=True)
+    client.channel.send(Message(last.pack()))
+    client.hear("ready")
+    client.frame(5, 1.2, np.full(61, np.nan, "<f4"))
+    found = client.followed()
+    assert found.flags == RESUMED | HELD
+    assert found.dropped == 3
+    values = np.frombuffer(last.numbers, "<f4")[21:73]
+    expected = np.exp(-0.2) * values
+    np.testing.assert_allclose(np.frombuffer(found.numbers, "<f4")[21:73], expected, atol=1e-5)
+    client.channel.send(Message(last.pack()))
+    assert client.hear("fault")["code"] == "live.message"
+    client.say(end=True)
+    client.thread.join()
+
+
+def test_a_session_without_frames_ends(files, tmp_path):
+    client = Client(files, tmp_path, idle_seconds=1)
+    assert client.hear("ended")["reason"] == "idle"
+    client.thread.join()
+    client.channel.close()
+    with pytest.raises(ChannelClosedError):
+        client.say(end=True)
+
+
+def test_a_session_needs_a_channel(files, tmp_path):
+    with pytest.raises(InputError) as caught:
+        run_job("live_session", tmp_path, **files)
+    assert caught.value.code == "live.channel"
+
+
+@pytest.mark.long
+def test_full_solves_measure_the_error_and_mend_it(files, tmp_path):
+    """The reduced skin opens the mouth otherwise than the jaw does: that is seen, and learned."""
+    session = LiveSession.open(files, tmp_path, LiveOptions("weights", check_seconds=0.01))
+    told = []
+    try:
+        begin = time.monotonic()
+        number = 0
+        while session.errors.solved < 12 and time.monotonic() < begin + 240:
+            weights = OPEN.copy()
+            weights[JAW_OPEN] = 0.3 + 0.2 * np.sin(0.1 * number)
+            frame = session.step(GivenFrame(number, number / 60, weights.tobytes()))
+            told.append(frame.error_p50_mm)
+            number += 1
+            time.sleep(0.01)
+    finally:
+        session.close()
+    assert session.errors.solved >= 12
+    errors = [error for _, error in session.errors._recent]
+    assert errors[0] > 0.2
+    assert errors[-1] < 0.3 * errors[0]
+    assert np.isnan(told[0])
+    assert np.isfinite(told[-1])
+    assert not session._checks._process.is_alive()
+
+
+def test_counts_have_the_percentiles_of_what_was_counted():
+    counts = Counts(0.01, 1000)
+    for value in np.linspace(0.0, 5.0, 1001):
+        counts.add(value)
+    figures = counts.figures((50, 95))
+    assert figures["p50"] == pytest.approx(2.5, abs=0.02)
+    assert figures["p95"] == pytest.approx(4.75, abs=0.02)
+    assert Counts(1.0, 3).figures((50,)) == {"mean": None, "p50": None}

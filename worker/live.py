@@ -1,0 +1,302 @@
+"""The bridge of a live session: between its streams in the broker and its solver process.
+
+Frames never pile up. The solver has a few at a time, a few more wait here, and where more come
+the oldest go and are counted. A broker that is away is asked again and again: the session goes on
+when it is back.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import redis
+import structlog
+from sqlalchemy import or_, select
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.queue.states import HELD, State
+from service.queue.streams import (
+    KEPT_SECONDS,
+    MOST_OUT,
+    Answered,
+    Fields,
+    Inbox,
+    Names,
+    Sent,
+    parse,
+)
+from service.queue.table import has_run_out, is_due
+from service.queue.wakeups import LIVE, connect, wake
+from service.store.database import Store, clock
+from service.store.models import Job
+from solver.kinds.live_channel import Channel, ChannelClosedError
+from solver.kinds.live_messages import FollowedFrame, Message, MessageError
+from solver.kinds.live_session import VIEW_FILE
+
+RESUME = Message(b'{"resume": true}', is_text=True)
+
+log = structlog.get_logger()
+
+
+@dataclass(frozen=True)
+class BridgeOptions:
+    """Bounds of a bridge; times in s."""
+
+    in_solver: int = 3  # frames that the solver has without an answer
+    silent: float = 0.5  # without an answer, after which it is given one more
+    asks: float = 0.5  # how long the broker is asked for news at a time
+    rests: float = 0.2  # after the broker failed
+    looks_back: int = 16  # answers among which the last frame is looked for
+    farewell: float = 2.0  # until the threads have ended
+    keeps: float = 60.0  # what an ended session said, for who asks then
+
+
+class Bridge:
+    """Passes messages on for one attempt at a session, by three threads, until it is stopped."""
+
+    def __init__(
+        self,
+        channel: Channel,
+        broker_url: str,
+        session_id: str,
+        attempt: int,
+        options: BridgeOptions | None = None,
+    ) -> None:
+        self._channel = channel
+        self._names = Names.of(session_id)
+        self._attempt = attempt
+        self._options = options or BridgeOptions()
+        patience = 1 + self._options.asks
+        self._reading, self._writing = (
+            connect(broker_url, socket_timeout=patience) for _ in range(2)
+        )
+        self._stopping = threading.Event()
+        self._changed = threading.Condition()
+        self._inbox = Inbox()
+        self._in_solver = 0
+        self._answered = time.monotonic()
+        self._told: dict[Any, Any] = {}  # the last words of each type
+        self._unsent: list[Message] = []  # words that the broker has yet to get
+        self._is_told = False  # whether it has those that are to be kept
+        self._kept = 0.0  # when it was told to keep them
+        self._left: list[str] = []
+        self._threads = [
+            threading.Thread(target=work, name=f"live-{work.__name__.strip('_')}", daemon=True)
+            for work in (self._read, self._pass_in, self._pass_out)
+        ]
+
+    def start(self) -> None:
+        """Begin, in an attempt that is not the first with the last frame of the one before."""
+        for thread in self._threads:
+            thread.start()
+
+    def stop(self) -> None:
+        """Stop: the solver has ended."""
+        self._stopping.set()
+        with self._changed:
+            self._changed.notify_all()
+        for thread in self._threads:
+            thread.join(self._options.farewell)
+        self._channel.close()
+        if "ended" in self._told:
+            with suppress(redis.RedisError, OSError):
+                self._keep_for(round(self._options.keeps))
+        for client in (self._reading, self._writing):
+            client.close()
+
+    def left(self) -> list[str]:
+        """Return the names of files that are there by now: takes, and what a page draws by."""
+        return list(self._left)
+
+    def _read(self) -> None:
+        """Read what the station sends, from the broker."""
+        last = self._begin()
+        while not self._stopping.is_set():
+            try:
+                found: Any = self._reading.xread(
+                    {self._names.into: last}, block=round(1000 * self._options.asks)
+                )
+            except (redis.RedisError, OSError) as error:
+                self._rest(error)
+                continue
+            with self._changed:
+                for _, fields in _entries(found):
+                    self._inbox.add(Sent.read(fields))
+                self._changed.notify_all()
+            last = next((place for place, _ in reversed(_entries(found))), last)
+
+    def _begin(self) -> bytes:
+        """Give the solver the last frame of the attempt before; return where to read from."""
+        names = self._names
+        while self._attempt > 1 and not self._stopping.is_set():
+            try:
+                newest: Any = self._reading.xrevrange(names.out, count=self._options.looks_back)
+                came: Any = self._reading.xrevrange(names.into, count=1)
+            except (redis.RedisError, OSError) as error:
+                self._rest(error)
+                continue
+            answers = [Answered.read(fields).message for _, fields in newest]
+            frame = next((each for each in answers if not each.is_text), None)
+            if frame is not None:
+                with suppress(ChannelClosedError):
+                    self._channel.send(RESUME)
+                    self._channel.send(frame)
+            return next((place for place, _ in came), b"0")
+        return b"0"
+
+    def _pass_in(self) -> None:
+        """Give the solver what came, a few frames at a time."""
+        while (sent := self._next()) is not None:
+            try:
+                self._channel.send(sent.message)
+            except ChannelClosedError:
+                return
+
+    def _next(self) -> Sent | None:
+        """Wait for a message that the solver may have; None: there is none any more."""
+        with self._changed:
+            while not self._stopping.is_set():
+                first = self._inbox.first
+                if first is not None and self._may_have(first):
+                    sent = self._inbox.take()
+                    self._in_solver += sent.is_frame
+                    return sent
+                self._changed.wait(self._options.silent)
+        return None
+
+    def _may_have(self, sent: Sent) -> bool:
+        is_silent = time.monotonic() - self._answered > self._options.silent
+        if is_silent:
+            self._answered = time.monotonic()
+        return not sent.is_frame or self._in_solver < self._options.in_solver or is_silent
+
+    def _pass_out(self) -> None:
+        """Send on what the solver says, to its last word."""
+        while True:
+            try:
+                message = self._channel.receive(self._options.asks)
+            except (ChannelClosedError, MessageError):
+                return
+            if message is None:
+                if self._stopping.is_set():
+                    return
+                self._publish(None)
+                continue
+            with self._changed:
+                self._in_solver = max(self._in_solver - 1, 0)
+                self._answered = time.monotonic()
+                self._changed.notify_all()
+            if message.is_text:
+                self._note(message)
+            elif self._inbox.dropped:
+                message = self._count(message)
+            self._publish(message)
+
+    def _note(self, words: Message) -> None:
+        """Remember what somebody who joins later must be told."""
+        said = parse(words)
+        kind = said.get("type")
+        if kind in ("preparing", "ready", "recording", "ended"):
+            self._told[kind] = words.data
+        if kind == "ready":
+            self._told.pop("preparing", None)
+            self._left.append(VIEW_FILE)
+        if kind == "take":
+            self._told.pop("recording", None)
+            if isinstance(file := said.get("file"), str):
+                self._left.append(file)
+        self._is_told = False
+
+    def _count(self, message: Message) -> Message:
+        """Add the frames that never came to the solver to those that it dropped itself."""
+        try:
+            frame = FollowedFrame.unpack(message.data)
+        except MessageError:
+            return message
+        return Message(replace(frame, dropped=frame.dropped + self._inbox.dropped).pack())
+
+    def _publish(self, message: Message | None) -> None:
+        """Add a message to the stream, after words that could not be added before."""
+        if message is not None and (message.is_text or not self._unsent):
+            self._unsent.append(message)
+        try:
+            if self._unsent or not self._is_told:
+                self._send()
+            if time.monotonic() - self._kept > KEPT_SECONDS / 4:
+                self._keep_for(KEPT_SECONDS)
+                self._kept = time.monotonic()
+        except (redis.RedisError, OSError) as error:
+            self._unsent = [each for each in self._unsent if each.is_text][-MOST_OUT:]
+            self._rest(error)
+
+    def _send(self) -> None:
+        pipe = self._writing.pipeline(transaction=False)
+        for each in self._unsent:
+            fields = Answered(each, self._attempt).fields()
+            pipe.xadd(self._names.out, fields, maxlen=MOST_OUT, approximate=False)
+        if not self._is_told:
+            pipe.delete(self._names.told)
+            if self._told:
+                pipe.hset(self._names.told, mapping=self._told)
+            self._kept = 0.0
+        pipe.execute()
+        self._is_told = True
+        self._unsent.clear()
+
+    def _keep_for(self, seconds: int) -> None:
+        for key in (self._names.out, self._names.told):
+            self._writing.expire(key, seconds)
+
+    def _rest(self, error: Exception) -> None:
+        """Leave a broker alone that did not answer; perhaps it has forgotten all when it does."""
+        self._is_told = False
+        log.warning("broker.unreachable", error=str(error))
+        self._stopping.wait(self._options.rests)
+
+
+def _entries(found: Any) -> list[tuple[bytes, Fields]]:
+    """Return the entries of the one stream that was read."""
+    return found[0][1] if found else []
+
+
+class Lookout(threading.Thread):
+    """Wakes this worker for sessions whose worker is lost, much sooner than a sweeper's round.
+
+    It looks every ``pause`` seconds while ``is_free`` says that the worker has a place.
+    """
+
+    def __init__(
+        self, store: Store, pause: float, is_free: Callable[[], bool], stopping: threading.Event
+    ) -> None:
+        super().__init__(name="lookout", daemon=True)
+        self._store = store
+        self._pause = pause
+        self._is_free = is_free
+        self._stopping = stopping
+
+    def run(self) -> None:
+        """Look until the worker stops."""
+        while not self._stopping.wait(self._pause):
+            if not self._is_free():
+                continue
+            try:
+                if (job_id := self._find()) is not None:
+                    with self._store.write() as session:
+                        wake(session, job_id, LIVE)
+            except SQLAlchemyError as error:
+                log.warning("database.unreachable", error=str(error))
+
+    def _find(self) -> str | None:
+        """Return a session that waits for a worker."""
+        with self._store.read() as session:
+            moment = clock(session)
+            lost = Job.state.in_(HELD) & has_run_out(moment)
+            waits = (Job.state == State.QUEUED) & is_due(Job, moment)
+            query = select(Job.id).where(Job.queue == LIVE, or_(lost, waits)).limit(1)
+            found: Any = session.scalar(query)
+        return None if found is None else str(found)
