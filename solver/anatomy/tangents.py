@@ -1,10 +1,10 @@
 """Tangents of a skin by its texture coordinates: the axes in which normal maps are written.
 
-A tangent points to where the first coordinate grows, as MikkTSpace has it (Mikkelsen, "Simulation of
-wrinkled surfaces revisited", 2008), which glTF asks of viewers: in each corner the triangle's
+A tangent points to where the first coordinate grows, as MikkTSpace has it (Mikkelsen, "Simulation
+of wrinkled surfaces revisited", 2008), which glTF asks of viewers: in each corner the triangle's
 direction is laid into the plane of the vertex's normal, and the mean over the corners is weighted
-by their angles. The third axis is the normal n, the second w n x t, with w = -1 where the image lies
-mirrored on the skin.
+by their angles. The third axis is the normal n, the second w n x t, with w = -1 where the image
+lies mirrored on the skin.
 """
 
 from __future__ import annotations

@@ -88,6 +88,7 @@ class PlacedScan:
         confidence = np.exp(-((distance / trust.trusted) ** 2))
         confidence *= np.clip((cosine - trust.least_cosine) / span, 0.0, 1.0)
         if self._rim is not None:
-            confidence *= np.clip(self._rim.query(near)[0] / trust.border, 0.0, 1.0)
+            to_rim = self._rim.query(near, distance_upper_bound=trust.border)[0]  # inf beyond
+            confidence *= np.minimum(to_rim / trust.border, 1.0)
         confidence[distance > trust.farthest] = 0.0
         return Shown(self._numbers[face], shares, near, own, confidence)

@@ -66,7 +66,7 @@ class Texels:
         """Return the texels (c,) of triangles whose corners are all among ``vertices``."""
         return np.flatnonzero(faces_within(self.skin.faces, vertices)[self.faces])
 
-    def areas(self, chosen: Ints) -> Floats:
+    def areas(self, chosen: Ints | slice = slice(None)) -> Floats:
         """Return the skin's area (c,) in mm^2 that each of ``chosen`` texels (c,) stands for."""
         faces = self.faces[chosen]
         area = np.linalg.norm(area_normals(self.skin.vertices, self.skin.faces), axis=1) / 2.0

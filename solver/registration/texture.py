@@ -13,20 +13,19 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, PngImagePlugin
+from PIL import Image
 
 from solver.anatomy.template import Template
 from solver.anatomy.texture_coordinates import TextureCoordinates, unwrap
 from solver.drawing.head import skin_parts
 from solver.meshio.colours import ScanColours
 from solver.registration.placed_scan import TRUST, PlacedScan, ScanTrust
+from solver.registration.skin_images import made_for
 from solver.registration.texels import Texels, to_bytes
 from solver.registration.texture_fill import ColouredTexels, fill
 from solver.registration.topology import Topology
 from solver.similarity import Similarity
 from solver.surface import Floats, Surface, vertex_normals
-
-MADE_FOR = "Texture coordinates"  # key of a PNG's text: the hash of those it was made for
 
 
 @dataclass(frozen=True)
@@ -53,8 +52,7 @@ class Texture:
 
     def write(self, path: Path, confidence: Path) -> None:
         """Write both images as PNG."""
-        about = PngImagePlugin.PngInfo()
-        about.add_text(MADE_FOR, self.coordinates.sha256)
+        about = made_for(self.coordinates)
         about.add(b"sRGB", b"\0")
         Image.fromarray(self.colours).save(path, pnginfo=about)
         Image.fromarray(self.confidence).save(confidence)
