@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from solver.surface import Floats, Ints, Surface, vertex_normals
+from solver.surface import Floats, Ints, Surface, area_normals, vertex_normals
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,7 @@ def pits(skin: Surface, face: Ints, places: Floats, relief: Relief = RELIEF) -> 
     """Return the heights (n,) of pores, at random on the face, at ``places`` (n, 3)."""
     rng = np.random.default_rng(relief.seed)
     corners = skin.faces[face]
-    area = np.linalg.norm(
-        np.cross(*(skin.vertices[corners[:, k]] - skin.vertices[corners[:, 0]] for k in (1, 2))),
-        axis=1,
-    )
+    area = np.linalg.norm(area_normals(skin.vertices, corners), axis=1)
     chosen = rng.choice(len(corners), relief.pores, p=area / area.sum())
     shares = rng.dirichlet(np.ones(3), relief.pores)
     middles = np.einsum("nc,ncd->nd", shares, skin.vertices[corners[chosen]])

@@ -71,6 +71,7 @@ class Detail:
     texels: Texels
     normals: Floats  # (t, 3) unit, by tangent, second axis and normal of the mesh
     heights: Floats  # (t,) mm over the subdivided mesh
+    known: Floats  # (t,) from 0, nothing is known of it, to 1
     most: float  # mm, that a height may have
     coordinates: TextureCoordinates
     figures: dict[str, Any]  # of registration.json
@@ -109,21 +110,21 @@ def bake_detail(
         return None
     heights = np.zeros(len(texels.rows))
     normals = np.tile([0.0, 0.0, 1.0], (len(texels.rows), 1))
-    counts = np.zeros(len(texels.rows))
-    known = np.clip(compared.confidence / options.surest, 0.0, 1.0) * finer
-    heights[own], normals[own], counts[own] = _kept(compared, known, quiet, options)
+    known = np.zeros(len(texels.rows))
+    believed = np.clip(compared.confidence / options.surest, 0.0, 1.0) * finer
+    heights[own], normals[own], known[own] = _kept(compared, believed, quiet, options)
     figures = {
         "size": options.size,
-        "share": round(_face_share(texels, own, counts[own], topology), 4),
+        "share": round(_face_share(texels, own, known[own], topology), 4),
         "noise_mm": round(quiet.noise_mm, 4),
         "smoothed_steps": quiet.steps,
         "displacement": {
             "offset_mm": -options.most / HIGHEST * MIDDLE,
             "scale_mm": options.most / HIGHEST,
-            "p95_mm": round(_p95(heights[own][counts[own] > 0.5]), 4),
+            "p95_mm": round(_p95(heights[known > 0.5]), 4),
         },
     }
-    return Detail(texels, normals, heights, options.most, coordinates, figures)
+    return Detail(texels, normals, heights, known, options.most, coordinates, figures)
 
 
 def _around(scan: Surface, points: Floats, margin: float) -> Surface:
@@ -243,9 +244,9 @@ def _edge_lengths(surface: Surface) -> Floats:
 def _kept(
     compared: Compared, known: Floats, quiet: QuietScan, options: DetailOptions
 ) -> tuple[Floats, Floats, Floats]:
-    """Return heights (c,), normals (c, 3) by the mesh's axes, and how much (c,) they count.
+    """Return heights (c,), normals (c, 3) by the mesh's axes, and how far (c,) they are known.
 
-    ``known`` (c,) is how far what was found is to be believed.
+    ``known`` (c,) is how far what was found is to be believed, whatever it is.
     """
     smooth = SmoothFields(compared.fine, compared.confidence, options.width / (2.0 * np.pi))
     heights = compared.heights - smooth(compared.heights[:, None])[:, 0]

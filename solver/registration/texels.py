@@ -53,6 +53,11 @@ class Texels:
         shares[around] = np.where(np.abs(beyond).max(axis=1) < STEEP, beyond.T, shares[around].T).T
         return cls(size, rows, columns, mapped[triangle], shares, skin)
 
+    def chosen(self, numbers: Ints) -> Texels:
+        """Return some of the texels (c,), by their numbers."""
+        rows, columns, faces = (each[numbers] for each in (self.rows, self.columns, self.faces))
+        return Texels(self.size, rows, columns, faces, self.shares[numbers], self.skin)
+
     def at(self, values: Floats, chosen: Ints | slice = slice(None)) -> Floats:
         """Return vertices' ``values`` (v, k) at ``chosen`` texels (c,)."""
         corners = self.skin.faces[self.faces[chosen]]

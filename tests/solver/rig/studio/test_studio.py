@@ -95,7 +95,7 @@ def texture(tmp_path: Path) -> SkinTexture:
     path = tmp_path / "texture.png"
     pixels = np.zeros((8, 8, 3), np.uint8)
     Texture(pixels, pixels[:, :, 0], coordinates, {}).write(path, tmp_path / "confidence.png")
-    return SkinTexture.read(path, coordinates, len(skin.faces))
+    return SkinTexture.read(coordinates, len(skin.faces), path)
 
 
 def test_its_skin_wears_a_texture_with_seams(
@@ -151,14 +151,14 @@ def test_its_usd_wears_the_texture(
 
     rig = LightRig.of(MODEL, shapes, "shapes")
     path = tmp_path / "studio.usdc"
-    usd.write_usd(rig, path, texture.coordinates, "skin.png")
+    usd.write_usd(rig, path, texture)
     assert usd.compare_usd(rig, path, texture.coordinates)["max_mm"] < 1e-4
     stage = Usd.Stage.Open(str(path))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Face/skin"))
     places = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").Get()
     assert len(places) == len(mesh.GetPointsAttr().Get())
     image = UsdShade.Shader.Get(stage, "/Face/Materials/skin/BaseColour")
-    assert image.GetInput("file").Get().path == "./skin.png"
+    assert image.GetInput("file").Get().path == "./studio_skin.png"
     surface = UsdShade.Shader.Get(stage, "/Face/Materials/skin/Surface")
     source, *_ = surface.GetInput("diffuseColor").GetConnectedSources()[0]
     assert source.source.GetPath() == image.GetPath()
@@ -167,11 +167,11 @@ def test_its_usd_wears_the_texture(
 def test_a_texture_of_another_template_is_refused(texture: SkinTexture, tmp_path: Path) -> None:
     other = replace(texture.coordinates, places=texture.coordinates.places * np.float32(0.5))
     with pytest.raises(InputError) as caught:
-        SkinTexture.read(tmp_path / "texture.png", other, len(MODEL.skin.faces))
+        SkinTexture.read(other, len(MODEL.skin.faces), tmp_path / "texture.png")
     assert caught.value.code == "texture.template"
     (tmp_path / "texture.png").write_bytes(b"none")
     with pytest.raises(InputError) as caught:
-        SkinTexture.read(tmp_path / "texture.png", other, len(MODEL.skin.faces))
+        SkinTexture.read(other, len(MODEL.skin.faces), tmp_path / "texture.png")
     assert caught.value.code == "texture.unreadable"
 
 
