@@ -154,6 +154,10 @@ class Compared:
     faces: Ints  # (c,) of the scan
     shares: Floats  # (c, 3) of their corners
 
+    def of_scan(self, scan: Surface, values: Floats) -> Floats:
+        """Return the values (c,) of the scan's vertices (n,) at the texels."""
+        return np.asarray(np.einsum("nc,nc->n", self.shares, values[scan.faces[self.faces]]))
+
 
 def _compare(
     texels: Texels,
@@ -174,7 +178,7 @@ def _compare(
         for chosen in np.array_split(np.arange(len(own)), len(own) // options.chunk + 1)
     ]
     heights, normals, confidence, faces, shares = map(np.concatenate, zip(*parts, strict=True))
-    axes = _mesh_axes(texels, own, coordinates)
+    axes = mesh_axes(texels, own, coordinates)
     return Compared(fine, axes, heights, normals - axes[:, 2], confidence, faces, shares)
 
 
@@ -204,7 +208,7 @@ def _meeting(start: Floats, up: Floats, shown: Shown) -> Floats:
     return np.asarray(np.einsum("nd,nd->n", shown.places - start, facing) / cosine)
 
 
-def _mesh_axes(texels: Texels, own: Ints, coordinates: TextureCoordinates) -> Floats:
+def mesh_axes(texels: Texels, own: Ints, coordinates: TextureCoordinates) -> Floats:
     """Return the axes (c, 3, 3) that a viewer has at texels, by vertices' normals and tangents."""
     skin = texels.skin
     mapped = coordinates.mapped
@@ -225,8 +229,7 @@ def _finer(
 ) -> Floats:
     """Return how much (c,), from 0 to 1, a scan counts at texels by the length of its edges."""
     of_skin = texels.at(_edge_lengths(skin)[:, None], own)[:, 0]
-    corners = _edge_lengths(scan)[scan.faces[compared.faces]]
-    of_scan = np.einsum("nc,nc->n", compared.shares, corners)
+    of_scan = compared.of_scan(scan, _edge_lengths(scan))
     least, most = options.finer
     ratio = of_skin / np.maximum(of_scan, 1e-9)
     return np.asarray(np.clip((ratio - least) / (most - least), 0.0, 1.0))
@@ -256,10 +259,10 @@ def _kept(
     offset = compared.offset - smooth(compared.offset)
     known = known * np.clip(2.0 - np.abs(heights) / options.most, 0.0, 1.0)
 
-    def above(squares: Floats, noise: float) -> Floats:
-        """Return the share (c,) that rises above noise."""
-        variance = np.maximum(smooth(squares[:, None])[:, 0], 0.0)
-        return 1.0 - np.minimum(noise**2 / np.maximum(variance, 1e-30), 1.0)
+    def above(squares: Floats, noise: Floats) -> Floats:
+        """Return the share (c,) of values with these squares that rises above a variance (n,)."""
+        variance = np.maximum(smooth(squares[:, None])[:, 0], 1e-30)
+        return 1.0 - np.minimum(compared.of_scan(quiet.surface, noise) / variance, 1.0)
 
     risen = known * above(heights**2, quiet.height_noise)
     turned = known * above(np.einsum("nd,nd->n", offset, offset), quiet.turn_noise)

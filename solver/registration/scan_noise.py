@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from solver.surface import Floats, Surface, adjacency, vertex_normals
+from solver.surface import Floats, Surface, adjacency, vertex_areas, vertex_normals
 
 QUARTILE = 3.138  # deviation of normal numbers by that of which a quarter are smaller in size
 
@@ -22,8 +22,9 @@ QUARTILE = 3.138  # deviation of normal numbers by that of which a quarter are s
 class NoiseOptions:
     """How quiet a scan has to be."""
 
-    turn: float = 2.0  # degrees by which noise may turn normals
+    turn: float = 1.0  # degrees by which noise may turn normals, root mean square
     steps: tuple[int, ...] = (0, 1, 2, 4, 8, 16)  # of smoothing that are tried, the first that does
+    around: int = 12  # means over neighbours of what noise does, for an estimate in each place
     seed: int = 0  # of noise that is added to see what it does
 
 
@@ -37,8 +38,8 @@ class QuietScan:
     surface: Surface
     noise_mm: float  # of its vertices before, along the normals
     steps: int  # means over neighbours that were taken
-    height_noise: float  # left of it after these, mm
-    turn_noise: float  # of the normals after these, rad
+    height_noise: Floats  # (n,) variance of what is left of it after these, mm^2
+    turn_noise: Floats  # (n,) and of the normals, rad^2
 
 
 def quieten(scan: Surface, options: NoiseOptions = NOISE) -> QuietScan:
@@ -50,6 +51,7 @@ def quieten(scan: Surface, options: NoiseOptions = NOISE) -> QuietScan:
     normals = vertex_normals(scan)
     noise = _deviation(scan.vertices, normals, mean)
     drawn = noise * np.random.default_rng(options.seed).standard_normal((count, 1)) * normals
+    areas = vertex_areas(scan.vertices, scan.faces)
     points = scan.vertices
     taken = 0
     for steps in options.steps:
@@ -59,12 +61,13 @@ def quieten(scan: Surface, options: NoiseOptions = NOISE) -> QuietScan:
         taken = steps
         smooth = Surface(points, scan.faces)
         own = vertex_normals(smooth)
-        turned = vertex_normals(smooth.with_vertices(points + drawn)) - own
-        turn = float(np.sqrt(np.einsum("nd,nd->n", turned, turned).mean()))
-        if np.degrees(turn) <= options.turn:
+        turned = ((vertex_normals(smooth.with_vertices(points + drawn)) - own) ** 2).sum(axis=1)
+        if np.average(turned, weights=areas) <= np.radians(options.turn) ** 2:
             break
-    height = float(np.sqrt((np.einsum("nd,nd->n", drawn, own) ** 2).mean()))
-    return QuietScan(smooth, noise, taken, height, turn)
+    left = np.column_stack([np.einsum("nd,nd->n", drawn, own) ** 2, turned])
+    for _ in range(options.around):
+        left = 0.5 * (left + mean @ left)
+    return QuietScan(smooth, noise, taken, left[:, 0], left[:, 1])
 
 
 def _deviation(points: Floats, normals: Floats, mean: sp.csr_array) -> float:
