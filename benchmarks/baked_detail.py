@@ -17,14 +17,16 @@ from benchmarks.made_skin import carve, furrows, pits
 from solver.anatomy.embedding import barycentric
 from solver.anatomy.tangents import frames, vertex_tangents
 from solver.anatomy.template import Template
+from solver.anatomy.texture_coordinates import TextureCoordinates
 from solver.jobs import run_job
 from solver.meshio.ply import write_ply
 from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered
+from solver.registration.detail import bake_detail
 from solver.registration.normal_maps import by_slopes, slopes
-from solver.registration.subdivided import Subdivided
+from solver.registration.subdivided import CHILDREN, Subdivided
 from solver.registration.texture import texture_coordinates
-from solver.registration.topology import topology
+from solver.registration.topology import Topology, topology
 from solver.similarity import Similarity
 from solver.surface import (
     Floats,
@@ -42,13 +44,14 @@ STEEP = 7.0  # degrees of the mesh alone from which on a place is looked at
 NEAR_MM = 2.0  # of the registered skin, for a vertex of the scan to be compared
 LEAST_COSINE = 0.5  # of both normals, likewise
 LEVELS = 3  # of subdivision of a made scan
-NOISE_MM = 0.01  # of its vertices
+NOISE_MM = 0.01  # of its vertices, at most
+NOISE = 0.02  # of the distance between them, at most
 SUBJECT = 5  # seed of the person
 IDENTITIES = 12  # shapes that make the person, and their deviation
 SPREAD = 0.6
 EXPRESSION = {"browInnerUp": 1.0, "mouthSmileLeft": 0.7, "mouthSmileRight": 0.7}
 DEEP_MM = 0.1  # of relief whose depth is compared
-AT_REST = 0.2  # share of the furrows' depth that the neutral has
+AT_REST = 0.4  # share of the furrows' depth that the neutral has
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,13 +131,6 @@ class Registered:
         """Return the mean of values (n,) over the scan's area, of all vertices or ``chosen``."""
         return float(np.average(values[chosen], weights=self.areas[chosen]))
 
-    def correlation(self, one: Floats, other: Floats) -> float:
-        """Return the correlation of values (n,) over the scan's area."""
-        one = one - self.mean(one)
-        other = other - self.mean(other)
-        spread = self.mean(one * one) * self.mean(other * other)
-        return self.mean(one * other) / float(np.sqrt(spread))
-
     def errors(self) -> Figures:
         """Return how far mesh and normal map are off the scan's normals, in degrees."""
         alone = self.off(np.tile([0.0, 0.0, 1.0], (len(self.places), 1)))
@@ -154,7 +150,7 @@ class Registered:
 def measure(scan: Path | None, template: Path | None) -> Figures:
     """Return what registrations bake: of a made person, and of a ``scan`` where one is given."""
     with tempfile.TemporaryDirectory() as folder:
-        found = _made(Path(folder))
+        found = measure_made(Path(folder))
         if scan is not None:
             found |= {f"scan_{key}": value for key, value in _given(scan, template).items()}
     return found
@@ -170,12 +166,20 @@ def _given(scan: Path, template: Path | None) -> Figures:
         return Registered.read(Path(folder), scan, anatomy).errors()
 
 
-def _made(folder: Path) -> Figures:
-    """Return the figures of a made person, a neutral and an expression with deeper furrows."""
+def measure_made(folder: Path) -> Figures:
+    """Return figures of a made person, neutral and with deeper furrows; files go to ``folder``."""
     template = builtin_template()
-    neutral, carved = make_scans(folder, template)
-    scans = [folder / f"{name}.ply" for name in ("neutral", "expression")]
-    outs = [folder / scan.stem for scan in scans]
+    person = Person.of(template)
+    names = ("neutral", "expression")
+    skins = ((person.skin, AT_REST), (person.moved, 1.0))
+    scans = [folder / f"{name}.ply" for name in names]
+    outs = [folder / name for name in names]
+    relief = []
+    for path, (skin, share) in zip(scans, skins, strict=True):
+        scan, heights = person.scan(skin, share)
+        write_ply(path, scan)
+        relief.append(heights)
+    neutral, carved = relief
     run_job("register_scan", outs[0], scan=scans[0])
     run_job(
         "register_scan",
@@ -196,9 +200,9 @@ def _made(folder: Path) -> Figures:
     wrinkled = deeper < 0.3 * deeper.min()
     return {
         **rest.errors(),
-        "recovered_correlation": rest.correlation(rest.heights(outs[0]), known),
-        "recovered_depth": rest.mean(rest.heights(outs[0]) / known, known < -DEEP_MM),
-        "wrinkles_correlation": moved.correlation(change, deeper),
+        **person.recovered(texture_coordinates(template)),
+        "registered_correlation": correlation(rest.heights(outs[0]), known, rest.areas),
+        "wrinkles_correlation": correlation(change, deeper, moved.areas),
         "wrinkles_error_deg": moved.mean(moved.off(worn), wrinkled),
         "without_wrinkles_deg": moved.mean(moved.off(before_map), wrinkled),
         "wrinkles_mask": moved.mean(mask, wrinkled),
@@ -206,30 +210,69 @@ def _made(folder: Path) -> Figures:
     }
 
 
-def make_scans(folder: Path, template: Template) -> tuple[Floats, Floats]:
-    """Write a made person's neutral and expression as PLY; return the heights (n,) of both."""
-    shapes = template.shapes
-    assert shapes is not None
-    known = topology(template)
-    weights = SPREAD * np.random.default_rng(SUBJECT).standard_normal(IDENTITIES)
-    identity = np.tensordot(weights, shapes.identity[:IDENTITIES].astype(np.float64), 1)
-    person = template.skin.with_vertices(template.skin.vertices + identity)
-    moved = person.vertices.copy()
-    for name, weight in EXPRESSION.items():
-        moved += weight * shapes.expressions[shapes.expression_names.index(name)]
-    fine = Subdivided.of(person, LEVELS).surface
-    face = np.flatnonzero(faces_within(person.faces, known.face))
-    pores = pits(person, face, fine.vertices)
-    lines = furrows(person, fine.vertices)
-    outer = np.flatnonzero(np.repeat(faces_within(person.faces, known.outer), 4**LEVELS))
-    used = np.unique(fine.faces[outer])
-    noise = np.random.default_rng(SUBJECT)
-    found = []
-    skins = {"neutral": (person, AT_REST), "expression": (person.with_vertices(moved), 1.0)}
-    for name, (skin, share) in skins.items():
-        heights = pores + share * lines
-        rough = heights + NOISE_MM * noise.standard_normal(len(heights))
-        scan = part_of(carve(Subdivided.of(skin, LEVELS).surface, rough), outer)
-        write_ply(folder / f"{name}.ply", scan)
-        found.append(heights[used])
-    return found[0], found[1]
+@dataclass(frozen=True, eq=False)
+class Person:
+    """A made person: skin, that with an expression, and relief on the finely divided neutral."""
+
+    topology: Topology
+    skin: Surface
+    moved: Surface
+    pores: Floats  # (n,) mm
+    lines: Floats  # (n,) mm
+    outer: Ints  # (f,) triangles of the fine skin that a scanner sees
+
+    @classmethod
+    def of(cls, template: Template) -> Person:
+        """Return a person by a template's shapes."""
+        shapes = template.shapes
+        assert shapes is not None
+        known = topology(template)
+        weights = SPREAD * np.random.default_rng(SUBJECT).standard_normal(IDENTITIES)
+        identity = np.tensordot(weights, shapes.identity[:IDENTITIES].astype(np.float64), 1)
+        skin = template.skin.with_vertices(template.skin.vertices + identity)
+        moved = skin.vertices.copy()
+        for name, weight in EXPRESSION.items():
+            moved += weight * shapes.expressions[shapes.expression_names.index(name)]
+        fine = Subdivided.of(skin, LEVELS).surface
+        face = np.flatnonzero(faces_within(skin.faces, known.face))
+        outer = np.flatnonzero(np.repeat(faces_within(skin.faces, known.outer), CHILDREN**LEVELS))
+        pores = pits(skin, face, fine.vertices)
+        lines = furrows(skin, fine.vertices)
+        return cls(known, skin, skin.with_vertices(moved), pores, lines, outer)
+
+    def scan(self, skin: Surface, share: float) -> tuple[Surface, Floats]:
+        """Return a scan of one of the skins and its heights (k,), the lines at a ``share``."""
+        fine = Subdivided.of(skin, LEVELS).surface
+        heights = self.pores + share * self.lines
+        spacing = np.sqrt(vertex_areas(fine.vertices, fine.faces))
+        noise = np.random.default_rng(SUBJECT).standard_normal(len(heights))
+        rough = heights + noise * np.minimum(NOISE * spacing, NOISE_MM)
+        used = np.unique(fine.faces[self.outer])
+        return part_of(carve(fine, rough), self.outer), heights[used]
+
+    def recovered(self, coordinates: TextureCoordinates) -> Figures:
+        """Return how heights baked on the very skin that was carved compare with those known."""
+        scan, _ = self.scan(self.skin, 1.0)
+        detail = bake_detail(scan, self.skin, self.topology, coordinates)
+        assert detail is not None
+        own = detail.texels.within(self.topology.face)
+        fine = Subdivided.of(self.skin, LEVELS)
+        faces, shares = fine.locate(detail.texels.faces[own], detail.texels.shares[own])
+        corners = fine.surface.faces[faces]
+        known = np.einsum("nc,nc->n", shares, (self.pores + self.lines)[corners])
+        found = detail.heights[own]
+        area = detail.texels.areas(own)
+        deep = known < -DEEP_MM
+        return {
+            "recovered_correlation": correlation(found, known, area),
+            "recovered_depth": float(np.average(found[deep] / known[deep], weights=area[deep])),
+        }
+
+
+def correlation(one: Floats, other: Floats, weights: Floats) -> float:
+    """Return the correlation of values (n,) by ``weights`` (n,)."""
+    one = one - np.average(one, weights=weights)
+    other = other - np.average(other, weights=weights)
+    products = (one * other, one * one, other * other)
+    common, first, second = (np.average(each, weights=weights) for each in products)
+    return float(common / np.sqrt(first * second))

@@ -29,6 +29,8 @@ from solver.similarity import IDENTITY, Similarity
 from solver.storage import write_json
 from solver.surface import Surface
 
+NOISY_MM = 0.05  # of a scan's noise, that is told
+
 
 def run(task: Task[RegisterScan]) -> list[Path]:
     """Register a raw scan: a neutral, or an expression if the person's ``neutral`` is given.
@@ -139,6 +141,11 @@ def _leave_detail(
     images = [task.out / name for name in ("normals.png", "displacement.png")]
     detail.write(*images)
     told["detail"] = detail.figures
+    noise = detail.figures["noise_mm"]
+    if noise >= NOISY_MM:
+        message = f"The scan's noise is {noise:.2f} mm: relief that does not rise above it is none."
+        advice = "For pores, scan closer or in better light."
+        told["findings"].append(Finding("detail.noise", "info", message, advice).to_dict())
     neutral = task.inputs.get("normals")
     if neutral is not None and "neutral" in task.inputs:
         before = read_normals(neutral, detail.texels, detail.coordinates)

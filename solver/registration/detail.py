@@ -31,7 +31,16 @@ from solver.registration.skin_images import made_for
 from solver.registration.subdivided import Subdivided
 from solver.registration.texels import Texels
 from solver.registration.topology import Topology
-from solver.surface import Floats, Ints, Surface, directed_edges, part_of, unit_rows, vertex_normals
+from solver.surface import (
+    Floats,
+    Ints,
+    Surface,
+    directed_edges,
+    part_of,
+    unit_rows,
+    vertex_areas,
+    vertex_normals,
+)
 
 DETAIL_TRUST = ScanTrust(farthest=5.0, trusted=2.5, least_cosine=0.5)
 
@@ -101,27 +110,33 @@ def bake_detail(
     """
     quiet = quieten(_around(scan, skin.vertices[topology.outer], options.margin))
     placed = PlacedScan(quiet.surface, skin, topology.face, options.trust)
+    shown = placed.look_up(skin.vertices, vertex_normals(skin))
+    finer = _finer(skin, quiet.surface, shown, options)
+    area = vertex_areas(skin.vertices, skin.faces)[topology.face]
+    if np.average(finer[topology.face] > 0.5, weights=area) < options.least_share:
+        return None
     texels = Texels.of(skin, coordinates, options.size)
     own = texels.within(topology.outer)
-    own = own[_near_the_scan(skin, placed)[texels.faces[own]]]
+    own = own[_with_a_ring(skin, shown.confidence > 0.0)[texels.faces[own]]]
     compared = _compare(texels, own, placed, coordinates, options)
-    finer = _finer(skin, texels, own, quiet.surface, compared, options)
-    if _face_share(texels, own, finer, topology) < options.least_share:
-        return None
     heights = np.zeros(len(texels.rows))
     normals = np.tile([0.0, 0.0, 1.0], (len(texels.rows), 1))
     known = np.zeros(len(texels.rows))
-    believed = np.clip(compared.confidence / options.surest, 0.0, 1.0) * finer
+    believed = np.clip(compared.confidence / options.surest, 0.0, 1.0)
+    believed *= np.clip(texels.at(finer[:, None], own)[:, 0], 0.0, 1.0)
     heights[own], normals[own], known[own] = _kept(compared, believed, quiet, options)
+    on_face = texels.within(topology.face)
+    seen = known[on_face] > 0.5
+    share = np.average(seen, weights=texels.areas(on_face))
     figures = {
         "size": options.size,
-        "share": round(_face_share(texels, own, known[own], topology), 4),
+        "share": round(float(share), 4),
         "noise_mm": round(quiet.noise_mm, 4),
         "smoothed_steps": quiet.steps,
         "displacement": {
             "offset_mm": -options.most / HIGHEST * MIDDLE,
             "scale_mm": options.most / HIGHEST,
-            "p95_mm": round(_p95(heights[known > 0.5]), 4),
+            "p95_mm": round(_p95(heights[on_face][seen]), 4),
         },
     }
     return Detail(texels, normals, heights, known, options.most, coordinates, figures)
@@ -135,11 +150,29 @@ def _around(scan: Surface, points: Floats, margin: float) -> Surface:
     return part_of(scan, np.flatnonzero(is_near[scan.faces].all(axis=1)))
 
 
-def _near_the_scan(skin: Surface, placed: PlacedScan) -> NDArray[np.bool_]:
-    """Return which triangles (f,) of a skin have a corner that the scan shows, or lie beside."""
-    shown = placed.look_up(skin.vertices, vertex_normals(skin)).confidence > 0.0
-    shown[skin.faces[shown[skin.faces].any(axis=1)]] = True
-    return np.asarray(shown[skin.faces].any(axis=1))
+def _finer(skin: Surface, scan: Surface, shown: Shown, options: DetailOptions) -> Floats:
+    """Return how much (n,), from 0 to 1, a scan counts at a skin's vertices by its edges."""
+    at_scan = _edge_lengths(scan)[scan.faces[shown.faces]]
+    ratio = _edge_lengths(skin) / np.maximum(np.einsum("nc,nc->n", shown.shares, at_scan), 1e-9)
+    least, most = options.finer
+    finer = np.clip((ratio - least) / (most - least), 0.0, 1.0)
+    return np.where(shown.confidence > 0.0, finer, 0.0)
+
+
+def _edge_lengths(surface: Surface) -> Floats:
+    """Return the mean length (n,) of the edges at each vertex."""
+    ends = directed_edges(surface.faces)
+    length = np.linalg.norm(surface.vertices[ends[:, 0]] - surface.vertices[ends[:, 1]], axis=1)
+    count = len(surface.vertices)
+    sums = np.bincount(ends.ravel(), np.repeat(length, 2), count)
+    return np.asarray(sums / np.maximum(np.bincount(ends.ravel(), minlength=count), 1))
+
+
+def _with_a_ring(skin: Surface, vertices: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which triangles (f,) have a corner among ``vertices`` (n,), or lie beside one."""
+    wider = vertices.copy()
+    wider[skin.faces[vertices[skin.faces].any(axis=1)]] = True
+    return np.asarray(wider[skin.faces].any(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,31 +252,6 @@ def mesh_axes(texels: Texels, own: Ints, coordinates: TextureCoordinates) -> Flo
     return frames(texels.blend(tangents[corners], own), texels.blend(normals[corners], own))
 
 
-def _finer(
-    skin: Surface,
-    texels: Texels,
-    own: Ints,
-    scan: Surface,
-    compared: Compared,
-    options: DetailOptions,
-) -> Floats:
-    """Return how much (c,), from 0 to 1, a scan counts at texels by the length of its edges."""
-    of_skin = texels.at(_edge_lengths(skin)[:, None], own)[:, 0]
-    of_scan = compared.of_scan(scan, _edge_lengths(scan))
-    least, most = options.finer
-    ratio = of_skin / np.maximum(of_scan, 1e-9)
-    return np.asarray(np.clip((ratio - least) / (most - least), 0.0, 1.0))
-
-
-def _edge_lengths(surface: Surface) -> Floats:
-    """Return the mean length (n,) of the edges at each vertex."""
-    ends = directed_edges(surface.faces)
-    length = np.linalg.norm(surface.vertices[ends[:, 0]] - surface.vertices[ends[:, 1]], axis=1)
-    count = len(surface.vertices)
-    sums = np.bincount(ends.ravel(), np.repeat(length, 2), count)
-    return np.asarray(sums / np.maximum(np.bincount(ends.ravel(), minlength=count), 1))
-
-
 def _kept(
     compared: Compared, known: Floats, quiet: QuietScan, options: DetailOptions
 ) -> tuple[Floats, Floats, Floats]:
@@ -273,14 +281,6 @@ def _kept(
     is_steep = normals[:, 2:] < options.steepest
     normals = np.where(is_steep, np.column_stack([across, up]), normals)
     return np.clip(risen * heights, -options.most, options.most), normals, known
-
-
-def _face_share(texels: Texels, own: Ints, counts: Floats, topology: Topology) -> float:
-    """Return the share of the face's area on which ``counts`` (c,) of texels are above a half."""
-    face = texels.within(topology.face)
-    area = np.zeros(len(texels.rows))
-    area[face] = texels.areas(face)
-    return float(area[own[counts > 0.5]].sum() / area.sum())
 
 
 def _p95(values: Floats) -> float:

@@ -128,6 +128,42 @@ def test_its_skin_wears_a_texture_with_seams(
     assert (scan.paint.images_of >= 0).sum() == len(own)
 
 
+def test_its_skin_wears_a_normal_map_with_tangents(
+    shapes: StudioShapes, texture: SkinTexture, tmp_path: Path
+) -> None:
+    rig = LightRig.of(MODEL, shapes, "shapes")
+    path = tmp_path / "studio.glb"
+    write_glb(rig, path, SkinTexture(texture.coordinates, normals=texture.colours))
+    document, binary = split_glb(path)
+    mesh = next(mesh for mesh in document["meshes"] if mesh["name"] == TEXTURED)["primitives"][0]
+    material = document["materials"][mesh["material"]]
+    assert material["normalTexture"]["index"] == 0
+    assert "baseColorTexture" not in material["pbrMetallicRoughness"]
+    assert document["images"][0]["name"] == "studio_normals"
+
+    def values(number: int) -> np.ndarray:
+        return accessor_values(document, binary, document["accessors"][number])
+
+    found = {name: values(number) for name, number in mesh["attributes"].items()}
+    tangents = found["TANGENT"].astype(np.float64)
+    np.testing.assert_allclose(np.linalg.norm(tangents[:, :3], axis=1), 1.0, atol=1e-5)
+    across = np.einsum("nd,nd->n", tangents[:, :3], found["NORMAL"])
+    np.testing.assert_allclose(across, 0.0, atol=1e-5)
+    # going along the image to the right and to its upper edge is going along both axes
+    faces = values(mesh["indices"]).reshape(-1, 3)
+    points = found["POSITION"][faces]
+    places = found["TEXCOORD_0"][faces]
+    ways = points[:, 1:] - points[:, :1]
+    to_the_right, down = np.moveaxis(
+        np.linalg.solve((places[:, 1:] - places[:, :1]).astype(np.float64), ways), 1, 0
+    )
+    ours = tangents[faces[:, 0]]
+    seconds = ours[:, 3:] * np.cross(found["NORMAL"][faces[:, 0]], ours[:, :3])
+    along = np.einsum("nd,nd->n", ours[:, :3], to_the_right)
+    assert (along > 0.0).mean() > 0.98
+    assert (np.einsum("nd,nd->n", seconds, -down) > 0.0).mean() > 0.98
+
+
 def test_a_level_of_detail_wears_the_texture_where_it_was() -> None:
     skin = MODEL.skin
     # two charts, cut in the middle, whose coordinates go with the place
@@ -151,7 +187,7 @@ def test_its_usd_wears_the_texture(
 
     rig = LightRig.of(MODEL, shapes, "shapes")
     path = tmp_path / "studio.usdc"
-    usd.write_usd(rig, path, texture)
+    usd.write_usd(rig, path, replace(texture, normals=texture.colours))
     assert usd.compare_usd(rig, path, texture.coordinates)["max_mm"] < 1e-4
     stage = Usd.Stage.Open(str(path))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Face/skin"))
@@ -162,6 +198,11 @@ def test_its_usd_wears_the_texture(
     surface = UsdShade.Shader.Get(stage, "/Face/Materials/skin/Surface")
     source, *_ = surface.GetInput("diffuseColor").GetConnectedSources()[0]
     assert source.source.GetPath() == image.GetPath()
+    normals = UsdShade.Shader.Get(stage, "/Face/Materials/skin/Normals")
+    assert normals.GetInput("sourceColorSpace").Get() == "raw"
+    assert normals.GetInput("file").Get().path == "./studio_normals.png"
+    source, *_ = surface.GetInput("normal").GetConnectedSources()[0]
+    assert source.source.GetPath() == normals.GetPath()
 
 
 def test_a_texture_of_another_template_is_refused(texture: SkinTexture, tmp_path: Path) -> None:
