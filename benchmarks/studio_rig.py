@@ -2,7 +2,7 @@
 
     python -m benchmarks.studio_rig [--rig FILE] [--blendshapes FILE] [--learned FILE]
         [--recording FILE] [--scan FILE [--template FILE] [--picture FILE]]
-        [--parts shapes,blink,levels,files,played,texture] --json -
+        [--parts shapes,blink,levels,files,played,texture,detail] --json -
 
 ``shapes`` are ARKit's, each alone and whole: ``mean_mm`` is the face's mean distance to the
 template's shape, over all, and ``worst_mm`` of the worst. ``blink`` has what is left between the
@@ -13,6 +13,11 @@ template's. ``levels`` are how far half and a quarter of the triangles are off i
 flesh over frames of a recording, by blendshapes or by learned controls, for both ways to drive it.
 ``texture`` registers a scan with colours and compares the textured skin with it from three views:
 ``coverage`` of the face's area that the scan shows, ``delta_e_mean`` (CIE 1976) and ``ssim``.
+``detail`` registers scans of a made person with pores and furrows of known depth, at rest and with
+an expression, and ``--scan`` if one is given: ``normal_error_deg`` is how far mesh and normal map
+are off the raw scan's normals where the mesh alone is off by 7 degrees or more, which has
+``mesh_error_deg`` there, ``recovered_correlation`` that of the displacement with the known depths,
+and ``wrinkles_correlation`` that of its change with the change of depth.
 """
 
 from __future__ import annotations
@@ -26,6 +31,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import report, subject_fits, subjects
+from benchmarks.baked_detail import measure as measure_detail
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.muscle_actions import has_lids, lid_gap
 from benchmarks.texture_views import measure
@@ -53,7 +59,8 @@ from solver.scene import Stage
 from solver.scene.places import Places
 
 log = logging.getLogger(__name__)
-PARTS = ("shapes", "blink", "levels", "files", "played", "texture")
+PARTS = ("shapes", "blink", "levels", "files", "played", "texture", "detail")
+OF_A_SCAN = ("texture", "detail")
 START = 2000  # of the recording: jaw, lips and cheeks
 FRAMES = 300
 STEPS = 20
@@ -69,7 +76,9 @@ def main() -> None:
     parser.add_argument("--recording", type=Path, help="of Live Link Face, for ``played``")
     parser.add_argument("--blendshapes", type=Path, help="blendshapes.npz: read, else left in it")
     parser.add_argument("--learned", type=Path, help="controls.npz that move the flesh")
-    parser.add_argument("--scan", type=Path, help="a raw scan with colours, for ``texture``")
+    parser.add_argument(
+        "--scan", type=Path, help="a raw scan with colours, for ``texture`` and ``detail``"
+    )
     parser.add_argument("--template", type=Path, help="that it is registered to, else the built-in")
     parser.add_argument("--picture", type=Path, help="PNG of the scan and its textured skin")
     parser.add_argument("--start", type=int, default=START, help="first frame that is played")
@@ -82,7 +91,7 @@ def main() -> None:
 
 def run(options: argparse.Namespace) -> Figures:
     """Return the figures of a rig."""
-    of_a_rig = [part for part in options.parts if part != "texture"]
+    of_a_rig = [part for part in options.parts if part not in OF_A_SCAN]
     told: Figures = {}
     parts: Figures = {}
     if of_a_rig:
@@ -93,6 +102,10 @@ def run(options: argparse.Namespace) -> Figures:
         parts["texture"] = {"note": "not measured: --scan names a scan with colours"}
         if options.scan is not None:
             parts["texture"] = measure(options.scan, options.template, options.picture)
+    if "detail" in options.parts:
+        parts["detail"] = {"note": "not measured: it takes minutes"}
+        if not options.quick:
+            parts["detail"] = measure_detail(options.scan, options.template)
     return {**told, "parts": parts}
 
 

@@ -8,12 +8,12 @@ capture.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
 
-from sqlalchemy import select, true
+from sqlalchemy import ColumnElement, select, true
 from sqlalchemy.orm import Session
 
 from service.bounds import shorten
@@ -93,7 +93,9 @@ def _about_one_capture(session: Session, kind: Kind, new: NewJob) -> Inputs:
     scan = _capture_file("scan", capture)
     files = [{**scan, "capture_role": capture.role}, *_landmarks("landmarks", capture)]
     if "neutral" in kind.reads and capture.role != "neutral":
-        files.append(_neutral(session, new.subject_id, of_an_expression=True))
+        neutral = _neutral(session, new.subject_id, of_an_expression=True)
+        of_the_neutral = {"of_a_neutral": Job.id == neutral["of"]}
+        files += [neutral, *_left_files(session, kind, new.subject_id, of_the_neutral)]
     return Inputs([*files, *_template(session, kind, new)], capture_id=capture.id)
 
 
@@ -179,22 +181,32 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
     elif "assets" in kind.reads:
         files += _assets(session, new)
     files += _template(session, kind, new)
+    made_of = {
+        "of_a_neutral": rigs.made_into_model(model),
+        "of_a_model": rigs.made_of_model(model),
+        **({"of_a_rig": rigs.made_of_rig(rig)} if rig else {}),
+    }
+    files += _left_files(session, kind, new.subject_id, made_of)
+    return Inputs(files, model_job_id=model.id)
+
+
+def _left_files(
+    session: Session, kind: Kind, subject_id: str, made_of: Mapping[str, ColumnElement[bool]]
+) -> list[InputFile]:
+    """Return the files that earlier jobs left for a kind, the newest of each.
+
+    ``made_of`` has what holds of those jobs, by the member of :class:`LeftFile` that asks for it.
+    """
+    files = []
     for name, file in FILES.items():
-        if file.input not in kind.reads:
-            continue
-        if file.of_a_neutral:
-            made_of = rigs.made_into_model(model)
-        elif file.of_a_rig and rig:
-            made_of = rigs.made_of_rig(rig)
-        elif file.of_a_model:
-            made_of = rigs.made_of_model(model)
-        else:
+        asked = [holds for member, holds in made_of.items() if getattr(file, member)]
+        if file.input not in kind.reads or not asked:
             continue
         leavers = [each.name for each in KINDS.values() if name in each.hands_on]
-        what = leavers, name, file.formats
-        if found := rigs.left_by(session, new.subject_id, made_of, *what):
+        found = rigs.left_by(session, subject_id, asked[0], leavers, name, file.formats)
+        if found:
             files.append(artifact_file(file.role, found))
-    return Inputs(files, model_job_id=model.id)
+    return files
 
 
 def _files_of_rig(session: Session, rig: Rig) -> list[InputFile]:

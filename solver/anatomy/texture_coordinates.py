@@ -54,6 +54,15 @@ class TextureCoordinates:
         places = self.places.astype(np.float64)
         return np.column_stack([places[:, 0], 1.0 - places[:, 1]]) * size
 
+    def split(self, skin: Surface, faces: Ints) -> SplitFaces:
+        """Return some ``faces`` (f,) of the skin with its vertices split where the image is cut."""
+        most = len(self.places) + 1
+        corners = skin.faces[faces] * most + self.corners[faces] - NOWHERE
+        used, own = own_numbers(corners)
+        vertices, place = np.divmod(used, most)
+        somewhere = np.vstack([np.zeros(2), self.places])  # a corner without a place has the first
+        return SplitFaces(vertices, own, somewhere[place])
+
     def arrays(self) -> Arrays:
         """Return the coordinates as named arrays, for a file."""
         return {"places": self.places, "corners": self.corners}
@@ -94,6 +103,15 @@ class TextureCoordinates:
         extent = np.array([width, row + height])
         inner = 1.0 - 2.0 * CHART_GAP
         return cls((CHART_GAP + inner * laid / extent).astype(np.float32), corners.astype(np.int32))
+
+
+@dataclass(frozen=True, eq=False)
+class SplitFaces:
+    """Triangles whose vertices have one place each in an image."""
+
+    vertices: Ints  # (k,) of the skin; one at a seam is there once for each of its places
+    faces: Ints  # (f, 3) by these
+    places: Floats  # (k, 2)
 
 
 def unwrap(skin: Surface, faces: Ints) -> TextureCoordinates:

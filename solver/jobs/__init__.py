@@ -32,7 +32,7 @@ class Task(Generic[Given]):
     ``model``, ``rig`` (of 0.1 with its ``model``, ``weights`` and ``report``: ``Rig.load`` reads
     either), ``start`` (another rig), ``performance``, ``markers`` (a take) with their
     ``marker_set`` and calibrated ``fibre_muscles``, ``blendshapes``, ``expression_basis``,
-    ``tracks``, and the ``texture`` of the neutral's registration.
+    ``tracks``, and the ``texture`` and ``normals`` of the neutral's registration.
     """
 
     out: Path  # the folder for what it leaves

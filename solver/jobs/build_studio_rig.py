@@ -26,10 +26,10 @@ from solver.rig.studio.lids import Lids
 from solver.rig.studio.light_rig import LightRig
 from solver.rig.studio.shapes import FleshShapes, StudioShapes, solve_studio_shapes
 from solver.rig.studio.skin_texture import SkinTexture
+from solver.rig.studio.wrinkle_maps import read_wrinkle_maps
 from solver.scene.places import Places
 from solver.storage import write_json
 
-SKIN_IMAGE = "studio_skin.png"  # beside the USD file, which names it
 MADE = 0.85  # share of the job after which the shapes are solved in flesh
 LEVELS = {"studio": 1.0, "studio_half": 0.5, "studio_quarter": 0.25}  # share of the triangles
 
@@ -37,9 +37,10 @@ LEVELS = {"studio": 1.0, "studio_half": 0.5, "studio_quarter": 0.25}  # share of
 def run(task: Task[BuildStudioRig]) -> list[Path]:
     """Solve the person's shapes in flesh with contact and write them as a light rig.
 
-    Blendshapes of an earlier job are taken as they are, and so is a ``texture`` of the neutral's
-    registration, which the skin wears. Raises ``texture.*``, ``blendshapes.*``, ``basis.*`` and
-    what reading a rig raises.
+    Blendshapes of an earlier job are taken as they are, and so are a ``texture`` and ``normals`` of
+    the neutral's registration, which the skin wears. Captures are wrinkle maps by the names of
+    their expressions. Raises ``texture.*``, ``wrinkles.*``, ``blendshapes.*``, ``basis.*`` and what
+    reading a rig raises.
     """
     given = task.options
     progress = task.progress
@@ -77,6 +78,13 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
         written[file] = {**compared, "bytes": file.stat().st_size}
         levels[file.name] = tell_level(light, rigged)
     written |= _write_usd(light, task.out / "studio.usdc", texture)
+    wrinkled = []
+    if task.captures:
+        wrinkled = [*read_wrinkle_maps(task.captures, rig, shapes, texture_coordinates(template))]
+    for each in wrinkled:
+        file = task.out / each.file
+        file.write_bytes(each.content)
+        written[file] = {"bytes": len(each.content)}
     picture = task.out / "studio.png"
     draw_shapes(model, light, picture)
     report = task.out / "studio.json"
@@ -84,7 +92,9 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
         **tell_shapes(light, shapes),
         **tell_blendshapes(blendshapes),
         "driven_by": given.driven_by,
-        "has_texture": texture is not None,
+        "has_texture": texture is not None and texture.colours is not None,
+        "has_normals": texture is not None and texture.normals is not None,
+        "wrinkles": {each.name: each.told() for each in wrinkled},
         "levels": levels,
         "files": {file.name: told for file, told in written.items()},
     }
@@ -94,11 +104,11 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
 
 
 def _read_texture(task: Task[BuildStudioRig], template: Template, faces: int) -> SkinTexture | None:
-    """Return the image that the skin of so many ``faces`` wears; None: none was given."""
-    given = task.inputs.get("texture")
-    if given is None:
+    """Return the images that the skin of so many ``faces`` wears; None: none was given."""
+    images = {"colours": task.inputs.get("texture"), "normals": task.inputs.get("normals")}
+    if not any(images.values()):
         return None
-    return SkinTexture.read(given, texture_coordinates(template), faces)
+    return SkinTexture.read(texture_coordinates(template), faces, **images)
 
 
 def _write_usd(
@@ -106,19 +116,19 @@ def _write_usd(
 ) -> dict[Path, dict[str, Any]]:
     """Write the rig as USD where the extra is there; return what is told of the files.
 
-    A texture lies beside it.
+    The skin's images lie beside it.
     """
     try:
         from solver.rig.studio.usd import compare_usd, write_usd  # an extra
     except ModuleNotFoundError:
         return {}
     coordinates = texture.coordinates if texture else None
-    image = file.with_name(SKIN_IMAGE)
-    write_usd(light, file, coordinates, image.name)
+    write_usd(light, file, texture)
     told = {file: {**compare_usd(light, file, coordinates), "bytes": file.stat().st_size}}
-    if texture is not None:
-        image.write_bytes(texture.content)
-        told[image] = {"bytes": len(texture.content)}
+    for name, content in (texture.files if texture else {}).items():
+        image = file.with_name(name)
+        image.write_bytes(content)
+        told[image] = {"bytes": len(content)}
     return told
 
 

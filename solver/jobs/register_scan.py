@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from solver.errors import Finding, InputError
 from solver.jobs import Task, read_template
@@ -14,14 +17,20 @@ from solver.meshio.raw import RawScan, mend, read_raw
 from solver.meshio.registered import read_registered, write_registered
 from solver.meshio.scan_archive import opened_scan
 from solver.progress import Step
+from solver.registration.detail import DETAIL, bake_detail
 from solver.registration.detector import landmarker_file
 from solver.registration.landmarks import match, read_landmarks
+from solver.registration.normal_maps import read_normals
 from solver.registration.register import RegisteredFace, register
 from solver.registration.report import distance_picture, report
-from solver.registration.texture import TEXTURE, Texture, bake, texture_coordinates
+from solver.registration.texture import TEXTURE, bake, texture_coordinates
 from solver.registration.topology import Topology, topology
-from solver.similarity import IDENTITY
+from solver.registration.wrinkles import wrinkles
+from solver.similarity import IDENTITY, Similarity
 from solver.storage import write_json
+from solver.surface import Surface
+
+NOISY_MM = 0.05  # of a scan's noise, that is told
 
 
 def run(task: Task[RegisterScan]) -> list[Path]:
@@ -31,6 +40,8 @@ def run(task: Task[RegisterScan]) -> list[Path]:
     ``registered.ply`` has the template's
     vertices in mm with the property ``confidence``. Of a scan with colours there are
     ``texture.png`` and ``texture_confidence.png``, too; images that cannot be used are a finding.
+    Of one that is finer than the template there are ``normals.png`` and ``displacement.png``, and
+    of an expression with the neutral's ``normals`` ``wrinkle_normals.png``.
     Raises :class:`solver.errors.InputError` for files that cannot be used and for a scan without a
     face (``scan.not_a_face``).
     """
@@ -69,33 +80,88 @@ def _register(task: Task[RegisterScan], scan: Path) -> list[Path]:
     write_registered(files[0], registered.skin, registered.trust.confidence, size_from)
     told = report(registered, known, size_from)
     distance_picture(registered, known, files[2])
-    progress(Step("texture", 0.9))
-    try:
-        texture = _texture(scan, as_read, registered, known, task.options.texture_size)
-    except InputError as error:
-        if not error.code.startswith("texture."):
-            raise
-        advice = "The skin is registered; to have its colours, send the files again with it."
-        told["findings"].append(Finding(error.code, "warning", error.message, advice).to_dict())
-    else:
-        if texture is not None:
-            told["texture"] = texture.figures
-            images = [task.out / name for name in ("texture.png", "texture_confidence.png")]
-            texture.write(*images)
-            files += images
+    progress(Step("texture", 0.88))
+    with _faults_told(told, "to have its colours, send the files again with it"):
+        files += _leave_texture(task, as_read, registered, known, told)
+    progress(Step("detail", 0.92))
+    with _faults_told(told, "its detail needs what is missing"):
+        files += _leave_detail(task, raw, registered, known, told)
     write_json(files[1], told)
     progress(Step("done", 1.0))
     return files
 
 
-def _texture(
-    scan: Path, raw: RawScan, registered: RegisteredFace, known: Topology, size: int
-) -> Texture | None:
-    """Return the scan's colours on the registered skin; None: it has none."""
-    colours = read_colours(scan, raw)
+@contextmanager
+def _faults_told(told: dict[str, Any], advice: str) -> Iterator[None]:
+    """Make a finding of images that cannot be used or made."""
+    try:
+        yield
+    except InputError as error:
+        if not error.code.startswith("texture."):
+            raise
+        words = f"The skin is registered; {advice}."
+        told["findings"].append(Finding(error.code, "warning", error.message, words).to_dict())
+
+
+def _leave_texture(
+    task: Task[RegisterScan],
+    raw: RawScan,
+    registered: RegisteredFace,
+    known: Topology,
+    told: dict[str, Any],
+) -> list[Path]:
+    """Leave the scan's colours on the registered skin, if it has any."""
+    colours = read_colours(task.inputs["scan"], raw)
     if colours is None:
-        return None
+        return []
     coordinates = texture_coordinates(known.template)
-    motion = replace(IDENTITY, scale=registered.start.mm_per_unit).then(registered.motion)
-    options = replace(TEXTURE, size=size)
-    return bake(colours, motion, registered.skin, known, coordinates, options)
+    options = replace(TEXTURE, size=task.options.texture_size)
+    texture = bake(colours, _onto_skin(registered), registered.skin, known, coordinates, options)
+    images = [task.out / name for name in ("texture.png", "texture_confidence.png")]
+    texture.write(*images)
+    told["texture"] = texture.figures
+    return images
+
+
+def _leave_detail(
+    task: Task[RegisterScan],
+    raw: RawScan,
+    registered: RegisteredFace,
+    known: Topology,
+    told: dict[str, Any],
+) -> list[Path]:
+    """Leave what a mended scan has beyond the registered skin, and what of it a neutral has not."""
+    given = task.options
+    detail = None
+    if len(raw.faces):
+        coordinates = texture_coordinates(known.template)
+        options = replace(
+            DETAIL, size=given.texture_size, width=given.detail_width_mm, most=given.detail_most_mm
+        )
+        scan = Surface(_onto_skin(registered)(raw.vertices), raw.faces)
+        detail = bake_detail(scan, registered.skin, known, coordinates, options)
+    if detail is None:
+        message = "The scan is hardly finer than the template's mesh: there is no normal map of it."
+        told["findings"].append(Finding("detail.coarse", "info", message).to_dict())
+        return []
+    images = [task.out / name for name in ("normals.png", "displacement.png")]
+    detail.write(*images)
+    told["detail"] = detail.figures
+    noise = detail.figures["noise_mm"]
+    if noise >= NOISY_MM:
+        message = f"The scan's noise is {noise:.2f} mm: relief that does not rise above it is none."
+        advice = "For pores, scan closer or in better light."
+        told["findings"].append(Finding("detail.noise", "info", message, advice).to_dict())
+    neutral = task.inputs.get("normals")
+    if neutral is not None and "neutral" in task.inputs:
+        before = read_normals(neutral, detail.texels, detail.coordinates)
+        changed = wrinkles(detail, before, known)
+        images.append(task.out / "wrinkle_normals.png")
+        changed.write(images[-1])
+        told["wrinkles"] = changed.figures
+    return images
+
+
+def _onto_skin(registered: RegisteredFace) -> Similarity:
+    """Return what takes the scan's own coordinates onto the registered skin."""
+    return replace(IDENTITY, scale=registered.start.mm_per_unit).then(registered.motion)

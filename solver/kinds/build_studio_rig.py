@@ -23,7 +23,7 @@ class BuildStudioRig(JobOptions):
 
 KIND = Kind(
     queue="long",
-    reads=("rig", "template", "blendshapes", "expression_basis", "texture"),
+    reads=("rig", "template", "blendshapes", "expression_basis", "texture", "normals", "wrinkles"),
     leaves="studio",
     result="studio.glb",
     hands_on=("blendshapes.npz", "expression_basis.npz"),

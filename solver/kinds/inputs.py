@@ -110,6 +110,10 @@ INPUTS: Mapping[str, Input] = {
     "marker_set": Input((_option("set", "the session's marker set, JSON", role="marker_set"),)),
     "tracks": Input((_option("tracks", "tracks.npz of build-tracks"),)),
     "texture": Input((_option("texture", "texture.png of the neutral's register-scan"),)),
+    "wrinkles": Input(
+        (_named("wrinkles", "NAME=FILE, wrinkle_normals.png of the expression NAME; repeatable"),)
+    ),
+    "normals": Input((_option("normals", "normals.png of the neutral's register-scan"),)),
     "role": Input((InputPart("role", "what the scan is meant to be", form="role"),)),
     "start": Input(
         (_option("start", "rig to start from, also of another person", form="file or folder"),)
@@ -155,6 +159,8 @@ FILES: Mapping[str, LeftFile] = {
     "live_skin.npz": LeftFile("live_skin", "live_skin", of_a_rig=True, is_kept=True),
     "fibre_muscles.npz": LeftFile("fibre_muscles", "fibre_muscles", of_a_rig=True),
     "texture.png": LeftFile("texture", "texture", of_a_neutral=True),
+    "wrinkle_normals.png": LeftFile("wrinkles", "asset"),
+    "normals.png": LeftFile("normals", "normals", of_a_neutral=True),
 }
 
 

@@ -89,7 +89,7 @@ class Skin:
         self.vertices, self.faces = own_numbers(topology.flesh)
         self.start = start[self.vertices]
         self.outer = np.searchsorted(self.vertices, topology.outer)
-        self._membrane, self.area = _laplacian(Surface(self.start, self.faces))
+        self._membrane, self.area = laplacian(Surface(self.start, self.faces))
         self._bending = self._membrane @ sp.diags_array(1 / self.area) @ self._membrane
         self._touch, self._closing = self._lips(topology)
         pattern = sp.csr_array(abs(self._bending) + abs(self._membrane) + abs(self._touch))
@@ -168,7 +168,7 @@ def free_form(
     return result
 
 
-def _laplacian(surface: Surface) -> tuple[sp.csr_array, Floats]:
+def laplacian(surface: Surface) -> tuple[sp.csr_array, Floats]:
     """Return the cotangent Laplacian (positive) with bounded weights, and vertex areas (mm^2)."""
     weights = sp.coo_array(igl.cotmatrix(surface.vertices, surface.faces))
     weights.data = np.clip(weights.data, *FREE_FORM.cotangent)

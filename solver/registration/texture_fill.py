@@ -19,8 +19,9 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from solver.anatomy.warp import MIRROR
+from solver.registration.texels import Texels
 from solver.registration.topology import Topology
-from solver.surface import Floats, Ints, Surface, adjacency, faces_within
+from solver.surface import Floats, Ints, adjacency
 
 
 @dataclass(frozen=True)
@@ -41,26 +42,21 @@ FILL = FillOptions()
 
 
 @dataclass(eq=False)
-class Texels:
-    """The texels (t) of an image that lie on a skin."""
+class ColouredTexels(Texels):
+    """Texels (t) with what is seen of a skin there."""
 
-    rows: Ints  # (t,)
-    columns: Ints  # (t,)
-    faces: Ints  # (t,) triangles of the skin
-    shares: Floats  # (t, 3) of their corners; those around a chart have negative ones
-    skin: Surface
     colours: Floats  # (t, 3) sRGB in [0, 1], where they are seen
     confidence: Floats  # (t,) from 0, not seen, to 1
 
-    def at(self, values: Floats, chosen: Ints | slice = slice(None)) -> Floats:
-        """Return vertices' ``values`` (v, k) at ``chosen`` texels (c,)."""
-        corners = self.skin.faces[self.faces[chosen]]
-        shares = self.shares[chosen]
-        return np.asarray(sum(shares[:, c, None] * values[corners[:, c]] for c in range(3)))
+    @classmethod
+    def bare(cls, texels: Texels) -> ColouredTexels:
+        """Return texels of which nothing is seen yet."""
+        count = len(texels.rows)
+        return cls(**vars(texels), colours=np.zeros((count, 3)), confidence=np.zeros(count))
 
 
 def fill(
-    texels: Texels, topology: Topology, options: FillOptions = FILL
+    texels: ColouredTexels, topology: Topology, options: FillOptions = FILL
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the colours (t, 3) of all texels, and which (t,) have them from the other side."""
     mirror = _mirror(topology, options)
@@ -90,7 +86,7 @@ def _mirror(topology: Topology, options: FillOptions) -> Ints | None:
     return mirror
 
 
-def _smooth(texels: Texels, mirror: Ints | None, options: FillOptions) -> Floats:
+def _smooth(texels: ColouredTexels, mirror: Ints | None, options: FillOptions) -> Floats:
     """Return smooth colours (n, 3) of the skin's vertices."""
     skin = texels.skin
     count = len(skin.vertices)
@@ -122,14 +118,14 @@ def _smooth(texels: Texels, mirror: Ints | None, options: FillOptions) -> Floats
 
 
 def _models(
-    texels: Texels, topology: Topology, kept: Floats, options: FillOptions
+    texels: ColouredTexels, topology: Topology, kept: Floats, options: FillOptions
 ) -> tuple[Ints, Ints]:
     """Return texels that are not quite seen, and for each the seen one at its mirror image."""
     rest = topology.template.skin.vertices
     models = np.flatnonzero(texels.confidence > options.model)
     models = models[:: max(1, -(-len(models) // options.most_models))]
-    outer = faces_within(texels.skin.faces, topology.outer)
-    asked = np.flatnonzero((kept < 1.0) & outer[texels.faces])
+    asked = texels.within(topology.outer)
+    asked = asked[kept[asked] < 1.0]
     if not len(models) or not len(asked):
         return asked[:0], models[:0]
     tree = cKDTree(texels.at(rest, models))

@@ -42,6 +42,8 @@ ASKED: Mapping[str, list[tuple[list[str], dict[str, str]]]] = {
     "controls": [(["--controls", "controls.npz"], {"controls": "controls.npz"})],
     "fibre_muscles": [(["--fibres", "fibres.npz"], {"fibre_muscles": "fibres.npz"})],
     "texture": [(["--texture", "texture.png"], {"texture": "texture.png"})],
+    "normals": [(["--normals", "normals.png"], {"normals": "normals.png"})],
+    "wrinkles": [(["--wrinkles", "smile=wrinkles.png"], {})],
     "tracks": [(["--tracks", "tracks.npz"], {"tracks": "tracks.npz"})],
     "start": [(["--start", "rig.npz"], {"start": "rig.npz"})],
     "assets": [(["--asset", "soft=map.npy"], {})],

@@ -320,6 +320,31 @@ def test_the_texture_of_the_neutral_s_registration_is_found(session: Session) ->
     assert "texture" not in session.sources(other)
 
 
+def test_normals_of_the_neutral_are_found_and_wrinkles_are_named(session: Session) -> None:
+    subject = session.studio.post("/v1/subjects", name="Alex")["id"]
+    raw = session.studio.raw(subject, "neutral-in-detail", role="neutral")
+    register = session.studio.submit("register_scan", subject, captures=[raw])
+    session.studio.pretend(
+        register, session.stored("registered.ply") | session.stored("normals.png")
+    )
+    smile = session.studio.raw(subject, "smile-in-detail", role="expression")
+    moved = session.studio.submit("register_scan", subject, captures=[smile])
+    assert session.sources(moved)["normals"] == register
+    session.studio.pretend(
+        moved, session.stored("registered.ply") | session.stored("wrinkle_normals.png")
+    )
+    made = session.studio.submit("build_model", subject)
+    session.studio.pretend(made, session.stored("model.npz"))
+    fit = session.studio.submit("fit_geometry", subject, captures=[smile])
+    told = {"subject_id": subject, "model_job_id": made}
+    session.studio.pretend(fit, session.stored("rig.npz"), rig=told)
+    rig = session.studio.job(fit)["result"]["rig_id"]
+    named = [{"job": moved, "artifact": "wrinkle_normals.png", "name": "smile"}]
+    job = session.studio.submit("build_studio_rig", subject, rig_id=rig, from_jobs=named)
+    assert session.sources(job)["normals"] == register
+    assert session.sources(job)["asset"] == moved
+
+
 def test_tracks_of_the_rig_s_model_are_found_by_its_scenes(session: Session) -> None:
     rig = session.add_rig()
     tracks = session.studio.submit("build_tracks", session.subject)

@@ -334,12 +334,15 @@ def material_of(part: str) -> gl.Material:
     )
 
 
-def textured_material(part: str, texture: int) -> gl.Material:
-    """Return the material of a part whose base colour is the texture of that number."""
+def textured_material(part: str, colours: int | None, normals: int | None) -> gl.Material:
+    """Return the material of a part that has textures of these numbers: base colour, normals."""
     material = material_of(part)
-    surface = material.pbrMetallicRoughness
-    surface.baseColorFactor = [1.0, 1.0, 1.0, 1.0]
-    surface.baseColorTexture = gl.TextureInfo(index=texture)
+    if colours is not None:
+        surface = material.pbrMetallicRoughness
+        surface.baseColorFactor = [1.0, 1.0, 1.0, 1.0]
+        surface.baseColorTexture = gl.TextureInfo(index=colours)
+    if normals is not None:
+        material.normalTexture = gl.NormalMaterialTexture(index=normals)
     return material
 
 

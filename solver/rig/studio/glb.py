@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pygltflib as gl
 
+from solver.anatomy.tangents import vertex_tangents
 from solver.anatomy.texture_coordinates import TextureCoordinates
 from solver.rig.frames.gltf import DEFAULTS, GENERATOR, material_of, textured_material
 from solver.rig.frames.gltf_buffer import METRES, Buffer
 from solver.rig.frames.read_back import Comparison, accessor_values, split_glb
 from solver.rig.studio.light_rig import LightRig
 from solver.rig.studio.parts import TEXTURED, Part, parts_of
-from solver.rig.studio.skin_texture import SkinTexture
+from solver.rig.studio.skin_texture import COLOURS, NORMALS, SkinTexture
 from solver.surface import Floats, Ints
 
 MOST_JOINTS = 4  # of a vertex, in one attribute of glTF
@@ -24,7 +25,7 @@ MOST_JOINTS = 4  # of a vertex, in one attribute of glTF
 def write_glb(rig: LightRig, path: Path, texture: SkinTexture | None = None) -> None:
     """Write a rig: joints, and a node for each part of the head, in metres, at rest.
 
-    A part has the morph targets that move it, and the skin its ``texture``, within the file.
+    A part has the morph targets that move it, and the skin its images, within the file.
     """
     buffer = Buffer()
     skeleton = rig.skeleton
@@ -42,23 +43,29 @@ def write_glb(rig: LightRig, path: Path, texture: SkinTexture | None = None) -> 
         scenes=[gl.Scene(name="face", nodes=[0, *range(count, len(nodes))])],
         nodes=nodes,
         skins=[_skin(rig, buffer)],
-        materials=[
-            textured_material(name, 0) if texture and name == TEXTURED else material_of(name)
-            for name in materials
-        ],
+        materials=[material_of(name) for name in materials],
         meshes=[meshes.of(part) for part in parts],
         accessors=buffer.accessors,
         bufferViews=buffer.views,
     )
-    if texture is not None:
-        document.images = [
-            gl.Image(name=TEXTURED, mimeType="image/png", bufferView=buffer.image(texture.content))
-        ]
-        document.samplers = [gl.Sampler(magFilter=gl.LINEAR, minFilter=gl.LINEAR_MIPMAP_LINEAR)]
-        document.textures = [gl.Texture(source=0, sampler=0)]
+    if texture is not None and texture.files:
+        _wear(document, buffer, texture)
     document.buffers = [gl.Buffer(byteLength=len(buffer.content))]
     document.set_binary_blob(bytes(buffer.content))
     document.save_binary(str(path))
+
+
+def _wear(document: gl.GLTF2, buffer: Buffer, texture: SkinTexture) -> None:
+    """Put the skin's images into a document, and on its material."""
+    numbers = {name: number for number, name in enumerate(texture.files)}
+    document.images = [
+        gl.Image(name=Path(name).stem, mimeType="image/png", bufferView=buffer.image(content))
+        for name, content in texture.files.items()
+    ]
+    document.samplers = [gl.Sampler(magFilter=gl.LINEAR, minFilter=gl.LINEAR_MIPMAP_LINEAR)]
+    document.textures = [gl.Texture(source=number, sampler=0) for number in numbers.values()]
+    worn = textured_material(TEXTURED, numbers.get(COLOURS), numbers.get(NORMALS))
+    document.materials = [worn if each.name == TEXTURED else each for each in document.materials]
 
 
 class _Meshes:
@@ -88,12 +95,17 @@ class _Meshes:
     def _at_rest(self, part: Part) -> gl.Attributes:
         buffer = self._buffer
         used = part.vertices
-        places = None
+        places = tangents = None
         if part.places is not None:  # glTF's rows count from the upper edge
             turned = np.column_stack([part.places[:, 0], 1.0 - part.places[:, 1]])
             places = buffer.dense(turned, gl.VEC2, gl.ARRAY_BUFFER)
+            found = vertex_tangents(
+                self._points[used], self._rig.normals[used], part.places, part.faces
+            )
+            tangents = buffer.dense(found, gl.VEC4, gl.ARRAY_BUFFER)
         return gl.Attributes(
             TEXCOORD_0=places,
+            TANGENT=tangents,
             POSITION=buffer.dense(self._points[used], gl.VEC3, gl.ARRAY_BUFFER, bounds=True),
             NORMAL=buffer.dense(self._rig.normals[used], gl.VEC3, gl.ARRAY_BUFFER),
             JOINTS_0=buffer.joints(self._joints[used]),

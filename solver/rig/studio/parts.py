@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from solver.anatomy.texture_coordinates import NOWHERE, TextureCoordinates
+from solver.anatomy.texture_coordinates import TextureCoordinates
 from solver.drawing.head import skin_parts
 from solver.rig.studio.skeleton import EYES, Skeleton
 from solver.surface import Floats, Ints, Surface, own_numbers
@@ -49,18 +49,9 @@ def parts_of(
             pieces = {name: numbers[side == skeleton.joints.index(name)] for name in EYES}
         for name, faces in pieces.items():
             if len(faces) and name == TEXTURED and texture is not None:
-                found.append(_textured(skin, faces, texture))
+                cut = texture.split(skin, faces)
+                found.append(Part(name, material, cut.vertices, cut.faces, cut.places))
             elif len(faces):
                 used, own = own_numbers(skin.faces[faces])
                 found.append(Part(name, material, used, own))
     return found
-
-
-def _textured(skin: Surface, faces: Ints, texture: TextureCoordinates) -> Part:
-    """Return the part of some ``faces`` (f,) whose vertices are split where the texture is cut."""
-    most = len(texture.places) + 1
-    corners = skin.faces[faces] * most + texture.corners[faces] - NOWHERE
-    used, own = own_numbers(corners)
-    vertices, place = np.divmod(used, most)
-    somewhere = np.vstack([np.zeros(2), texture.places])  # a corner without a place has the first
-    return Part(TEXTURED, TEXTURED, vertices, own, somewhere[place])

@@ -1,45 +1,61 @@
-"""The image of a person's skin that a light rig wears."""
+"""The images of a person's skin that a light rig wears: colours, and normals of its detail."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from PIL import Image
-
 from solver.anatomy.texture_coordinates import TextureCoordinates
-from solver.errors import InputError, file_error, quote
-from solver.meshio.texture_images import MOST_SIDE, UNREADABLE, read_sidecar
-from solver.registration.texture import MADE_FOR
+from solver.errors import InputError
+from solver.meshio.texture_images import read_sidecar
+from solver.registration.skin_images import check_made_for
+
+COLOURS = "studio_skin.png"  # beside a USD file, which names it
+NORMALS = "studio_normals.png"
 
 
 @dataclass(frozen=True, eq=False)
 class SkinTexture:
-    """A PNG and where the skin's triangles lie in it."""
+    """PNGs and where the skin's triangles lie in them; either may be missing."""
 
-    content: bytes  # of the PNG
     coordinates: TextureCoordinates
+    colours: bytes | None = None
+    normals: bytes | None = None  # by tangents, as solver.registration.normal_maps has them
 
     @classmethod
-    def read(cls, path: Path, coordinates: TextureCoordinates, faces: int) -> SkinTexture:
-        """Return the image of a registration for a skin of so many ``faces``.
+    def read(
+        cls,
+        coordinates: TextureCoordinates,
+        faces: int,
+        colours: Path | None = None,
+        normals: Path | None = None,
+    ) -> SkinTexture:
+        """Return the images of a registration for a skin of so many ``faces``.
 
-        One that was painted over may have lost the word what it was made for, and is taken as it
-        is. Raises :class:`InputError`: ``texture.unreadable``, ``texture.template`` for an image
-        that was made for other coordinates.
+        Raises :class:`InputError`: ``texture.unreadable``, ``texture.template`` for an image that
+        was made for other coordinates.
         """
-        content = read_sidecar(path)
-        try:
-            with Image.open(path, formats=("PNG",)) as image:
-                size = image.size
-                made_for = str(image.info.get(MADE_FOR, coordinates.sha256))
-        except UNREADABLE as error:
-            reason = f"no PNG that can be read: {quote(error)}"
-            raise file_error("texture.unreadable", path.name, reason) from None
-        if max(size) > MOST_SIDE:
-            reason = f"a side has at most {MOST_SIDE} px, this one {max(size)}"
-            raise file_error("texture.unreadable", path.name, reason)
-        if made_for != coordinates.sha256 or len(coordinates.corners) != faces:
-            reason = f"{path.name} was made for another template's texture coordinates"
-            raise InputError("texture.template", reason, file=path.name)
-        return cls(content, coordinates)
+
+        def content(path: Path | None) -> bytes | None:
+            return None if path is None else read_skin_image(path, coordinates, faces)
+
+        return cls(coordinates, content(colours), content(normals))
+
+    @property
+    def files(self) -> dict[str, bytes]:
+        """The images by the names that files beside them call them by."""
+        found = {COLOURS: self.colours, NORMALS: self.normals}
+        return {name: content for name, content in found.items() if content is not None}
+
+
+def read_skin_image(path: Path, coordinates: TextureCoordinates, faces: int) -> bytes:
+    """Return a PNG that was made for the ``coordinates`` of a skin of so many ``faces``.
+
+    Raises :class:`InputError`: ``texture.unreadable``, ``texture.template``.
+    """
+    content = read_sidecar(path)
+    check_made_for(path, coordinates)
+    if len(coordinates.corners) != faces:
+        reason = f"{path.name} was made for another template's texture coordinates"
+        raise InputError("texture.template", reason, file=path.name)
+    return content

@@ -28,25 +28,24 @@ from solver.rig.frames.usd import (
 from solver.rig.studio.glb import MOST_JOINTS, influences
 from solver.rig.studio.light_rig import LightRig
 from solver.rig.studio.parts import Part, parts_of
+from solver.rig.studio.skin_texture import COLOURS, NORMALS, SkinTexture
 from solver.surface import Floats, Ints
 
 
-def write_usd(
-    rig: LightRig, path: Path, coordinates: TextureCoordinates | None = None, image: str = ""
-) -> None:
+def write_usd(rig: LightRig, path: Path, texture: SkinTexture | None = None) -> None:
     """Write a rig at rest; a part has the blend shapes that move it.
 
-    With texture ``coordinates``, the skin wears the ``image`` of that name beside the file.
+    The skin wears the images of ``texture`` that lie beside the file.
     """
     stage, root = new_stage()
     root.CreateExtentAttr(extent(rig.neutral.vertices))
     _skeleton(stage, rig)
     joints, weights = influences(rig.skeleton.weights)
     UsdGeom.Scope.Define(stage, ROOT.AppendChild("Materials"))
-    for part in parts_of(rig.neutral, rig.skeleton, coordinates):
+    for part in parts_of(rig.neutral, rig.skeleton, texture.coordinates if texture else None):
         mesh = _mesh(stage, part, rig)
-        if part.places is not None:
-            _wear(stage, mesh, part.places, image)
+        if texture is not None and part.places is not None:
+            _wear(stage, mesh, part.places, texture)
         _bind(mesh, joints[part.vertices], weights[part.vertices])
         used = part.vertices
         moved = part.moving(rig.targets, DEFAULTS.still_mm)
@@ -98,8 +97,8 @@ def _mesh(stage: Usd.Stage, part: Part, rig: LightRig) -> UsdGeom.Mesh:
     return mesh
 
 
-def _wear(stage: Usd.Stage, mesh: UsdGeom.Mesh, places: Floats, image: str) -> None:
-    """Give a mesh places (k, 2) in an image, and its material that image for a base colour."""
+def _wear(stage: Usd.Stage, mesh: UsdGeom.Mesh, places: Floats, texture: SkinTexture) -> None:
+    """Give a mesh places (k, 2) in images, and its material the images of a skin."""
     primvars = UsdGeom.PrimvarsAPI(mesh)
     coordinates = primvars.CreatePrimvar(
         "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
@@ -110,14 +109,30 @@ def _wear(stage: Usd.Stage, mesh: UsdGeom.Mesh, places: Floats, image: str) -> N
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
     found = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
-    colours = UsdShade.Shader.Define(stage, material.GetPath().AppendChild("BaseColour"))
-    colours.CreateIdAttr("UsdUVTexture")
-    colours.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(f"./{image}")
-    colours.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
-    colours.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(found)
-    shown = colours.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
     surface = UsdShade.Shader.Get(stage, material.GetPath().AppendChild("Surface"))
-    surface.GetInput("diffuseColor").ConnectToSource(shown)
+    if texture.colours is not None:
+        colours = _image(stage, material.GetPath().AppendChild("BaseColour"), COLOURS, found)
+        colours.GetInput("sourceColorSpace").Set("sRGB")
+        surface.GetInput("diffuseColor").ConnectToSource(colours.GetOutput("rgb"))
+    if texture.normals is not None:
+        normals = _image(stage, material.GetPath().AppendChild("Normals"), NORMALS, found)
+        normals.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(2, 2, 2, 1))
+        normals.CreateInput("bias", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(-1, -1, -1, 0))
+        turned = surface.CreateInput("normal", Sdf.ValueTypeNames.Normal3f)
+        turned.ConnectToSource(normals.GetOutput("rgb"))
+
+
+def _image(
+    stage: Usd.Stage, path: Sdf.Path, file: str, coordinates: UsdShade.Output
+) -> UsdShade.Shader:
+    """Define an image beside the file, whose values are what they are, at ``coordinates``."""
+    image = UsdShade.Shader.Define(stage, path)
+    image.CreateIdAttr("UsdUVTexture")
+    image.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(f"./{file}")
+    image.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("raw")
+    image.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(coordinates)
+    image.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
+    return image
 
 
 def _bind(mesh: UsdGeom.Mesh, joints: Ints, weights: Floats) -> None:

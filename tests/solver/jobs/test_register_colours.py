@@ -11,7 +11,7 @@ from PIL import Image
 
 from myoface.client.scan_packing import with_images
 from solver.jobs import run_job
-from solver.registration.texture import MADE_FOR
+from solver.registration.skin_images import MADE_FOR
 from solver.registration.topology import topology
 from solver.surface import faces_within, part_of
 from solver.templates.builtin.build import builtin_template

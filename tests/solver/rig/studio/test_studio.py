@@ -95,7 +95,7 @@ def texture(tmp_path: Path) -> SkinTexture:
     path = tmp_path / "texture.png"
     pixels = np.zeros((8, 8, 3), np.uint8)
     Texture(pixels, pixels[:, :, 0], coordinates, {}).write(path, tmp_path / "confidence.png")
-    return SkinTexture.read(path, coordinates, len(skin.faces))
+    return SkinTexture.read(coordinates, len(skin.faces), path)
 
 
 def test_its_skin_wears_a_texture_with_seams(
@@ -128,6 +128,42 @@ def test_its_skin_wears_a_texture_with_seams(
     assert (scan.paint.images_of >= 0).sum() == len(own)
 
 
+def test_its_skin_wears_a_normal_map_with_tangents(
+    shapes: StudioShapes, texture: SkinTexture, tmp_path: Path
+) -> None:
+    rig = LightRig.of(MODEL, shapes, "shapes")
+    path = tmp_path / "studio.glb"
+    write_glb(rig, path, SkinTexture(texture.coordinates, normals=texture.colours))
+    document, binary = split_glb(path)
+    mesh = next(mesh for mesh in document["meshes"] if mesh["name"] == TEXTURED)["primitives"][0]
+    material = document["materials"][mesh["material"]]
+    assert material["normalTexture"]["index"] == 0
+    assert "baseColorTexture" not in material["pbrMetallicRoughness"]
+    assert document["images"][0]["name"] == "studio_normals"
+
+    def values(number: int) -> np.ndarray:
+        return accessor_values(document, binary, document["accessors"][number])
+
+    found = {name: values(number) for name, number in mesh["attributes"].items()}
+    tangents = found["TANGENT"].astype(np.float64)
+    np.testing.assert_allclose(np.linalg.norm(tangents[:, :3], axis=1), 1.0, atol=1e-5)
+    across = np.einsum("nd,nd->n", tangents[:, :3], found["NORMAL"])
+    np.testing.assert_allclose(across, 0.0, atol=1e-5)
+    # going along the image to the right and to its upper edge is going along both axes
+    faces = values(mesh["indices"]).reshape(-1, 3)
+    points = found["POSITION"][faces]
+    places = found["TEXCOORD_0"][faces]
+    ways = points[:, 1:] - points[:, :1]
+    to_the_right, down = np.moveaxis(
+        np.linalg.solve((places[:, 1:] - places[:, :1]).astype(np.float64), ways), 1, 0
+    )
+    ours = tangents[faces[:, 0]]
+    seconds = ours[:, 3:] * np.cross(found["NORMAL"][faces[:, 0]], ours[:, :3])
+    along = np.einsum("nd,nd->n", ours[:, :3], to_the_right)
+    assert (along > 0.0).mean() > 0.98
+    assert (np.einsum("nd,nd->n", seconds, -down) > 0.0).mean() > 0.98
+
+
 def test_a_level_of_detail_wears_the_texture_where_it_was() -> None:
     skin = MODEL.skin
     # two charts, cut in the middle, whose coordinates go with the place
@@ -151,27 +187,32 @@ def test_its_usd_wears_the_texture(
 
     rig = LightRig.of(MODEL, shapes, "shapes")
     path = tmp_path / "studio.usdc"
-    usd.write_usd(rig, path, texture.coordinates, "skin.png")
+    usd.write_usd(rig, path, replace(texture, normals=texture.colours))
     assert usd.compare_usd(rig, path, texture.coordinates)["max_mm"] < 1e-4
     stage = Usd.Stage.Open(str(path))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Face/skin"))
     places = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").Get()
     assert len(places) == len(mesh.GetPointsAttr().Get())
     image = UsdShade.Shader.Get(stage, "/Face/Materials/skin/BaseColour")
-    assert image.GetInput("file").Get().path == "./skin.png"
+    assert image.GetInput("file").Get().path == "./studio_skin.png"
     surface = UsdShade.Shader.Get(stage, "/Face/Materials/skin/Surface")
     source, *_ = surface.GetInput("diffuseColor").GetConnectedSources()[0]
     assert source.source.GetPath() == image.GetPath()
+    normals = UsdShade.Shader.Get(stage, "/Face/Materials/skin/Normals")
+    assert normals.GetInput("sourceColorSpace").Get() == "raw"
+    assert normals.GetInput("file").Get().path == "./studio_normals.png"
+    source, *_ = surface.GetInput("normal").GetConnectedSources()[0]
+    assert source.source.GetPath() == normals.GetPath()
 
 
 def test_a_texture_of_another_template_is_refused(texture: SkinTexture, tmp_path: Path) -> None:
     other = replace(texture.coordinates, places=texture.coordinates.places * np.float32(0.5))
     with pytest.raises(InputError) as caught:
-        SkinTexture.read(tmp_path / "texture.png", other, len(MODEL.skin.faces))
+        SkinTexture.read(other, len(MODEL.skin.faces), tmp_path / "texture.png")
     assert caught.value.code == "texture.template"
     (tmp_path / "texture.png").write_bytes(b"none")
     with pytest.raises(InputError) as caught:
-        SkinTexture.read(tmp_path / "texture.png", other, len(MODEL.skin.faces))
+        SkinTexture.read(other, len(MODEL.skin.faces), tmp_path / "texture.png")
     assert caught.value.code == "texture.unreadable"
 
 

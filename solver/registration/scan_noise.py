@@ -1,0 +1,79 @@
+"""A scanner's own noise: how much of it there is, and a scan smoothed until it no longer shows.
+
+Noise is what differs from vertex to vertex without regard to its neighbours. With A the mean over
+neighbours, (1 - A)^2 x is left of a scan x by neither a slope nor a bend, and of noise of deviation
+s it leaves s |row|. Skin's relief that is no wider than some of the scan's edges looks the same and
+is taken for noise: better too smooth than pores that nobody has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.surface import Floats, Surface, adjacency, vertex_areas, vertex_normals
+
+QUARTILE = 3.138  # deviation of normal numbers by that of which a quarter are smaller in size
+
+
+@dataclass(frozen=True)
+class NoiseOptions:
+    """How quiet a scan has to be."""
+
+    turn: float = 1.0  # degrees by which noise may turn normals, root mean square
+    steps: tuple[int, ...] = (0, 1, 2, 4, 8, 16)  # of smoothing that are tried, the first that does
+    around: int = 12  # means over neighbours of what noise does, for an estimate in each place
+    seed: int = 0  # of noise that is added to see what it does
+
+
+NOISE = NoiseOptions()
+
+
+@dataclass(frozen=True)
+class QuietScan:
+    """A scan after smoothing; lengths in mm."""
+
+    surface: Surface
+    noise_mm: float  # of its vertices before, along the normals
+    steps: int  # means over neighbours that were taken
+    height_noise: Floats  # (n,) variance of what is left of it after these, mm^2
+    turn_noise: Floats  # (n,) and of the normals, rad^2
+
+
+def quieten(scan: Surface, options: NoiseOptions = NOISE) -> QuietScan:
+    """Return a scan in mm, smoothed as little as its noise allows; its edges keep their place."""
+    count = len(scan.vertices)
+    graph = adjacency(scan.faces, count)
+    degree = np.asarray(graph.sum(axis=1)).ravel()
+    mean = sp.csr_array(sp.diags_array(1.0 / np.maximum(degree, 1.0)) @ graph)
+    normals = vertex_normals(scan)
+    noise = _deviation(scan.vertices, normals, mean)
+    drawn = noise * np.random.default_rng(options.seed).standard_normal((count, 1)) * normals
+    areas = vertex_areas(scan.vertices, scan.faces)
+    points = scan.vertices
+    taken = 0
+    for steps in options.steps:
+        for _ in range(steps - taken):
+            points = 0.5 * (points + mean @ points)
+            drawn = 0.5 * (drawn + mean @ drawn)
+        taken = steps
+        smooth = Surface(points, scan.faces)
+        own = vertex_normals(smooth)
+        turned = ((vertex_normals(smooth.with_vertices(points + drawn)) - own) ** 2).sum(axis=1)
+        if np.average(turned, weights=areas) <= np.radians(options.turn) ** 2:
+            break
+    left = np.column_stack([np.einsum("nd,nd->n", drawn, own) ** 2, turned])
+    for _ in range(options.around):
+        left = 0.5 * (left + mean @ left)
+    return QuietScan(smooth, noise, taken, left[:, 0], left[:, 1])
+
+
+def _deviation(points: Floats, normals: Floats, mean: sp.csr_array) -> float:
+    """Return the deviation of noise along the normals, mm, by the quarter that bends least."""
+    once = sp.csr_array(sp.eye_array(len(points)) - mean)
+    twice = once @ once
+    left = np.einsum("nd,nd->n", twice @ points, normals)
+    length = np.sqrt(np.asarray(twice.multiply(twice).sum(axis=1)).ravel())
+    return QUARTILE * float(np.percentile(np.abs(left) / np.maximum(length, 1e-12), 25.0))
