@@ -11,6 +11,9 @@ from pydantic import Field
 
 from solver.kinds.kind import JobOptions, Kind
 
+# Ends the names of takes that are being recorded: the next attempt finishes what it finds of them
+PART = ".part"
+
 Source = Literal["markers", "weights", "points", "landmarks"]
 
 

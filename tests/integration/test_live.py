@@ -23,6 +23,7 @@ from service.access.principal import Scope
 from service.live.relay import RelayOptions
 from service.queue.streams import LARGEST, MOST_OUT
 from solver.kinds.live_messages import FollowedFrame, GivenFrame
+from solver.kinds.live_session import PART
 from tests.servers.production import Production
 from tests.service_client import Studio, eventually, running
 
@@ -233,6 +234,7 @@ def test_a_session_goes_on_after_a_kill(
         list(face.track([[1, 2, 3]] * 5))
         face.record("before")
         face.stop()
+        face.record("during")
         time.sleep(1)  # the take is stored with the next beat
         sent = face.send([1, 2, 3])
         if what == "solver":
@@ -251,7 +253,10 @@ def test_a_session_goes_on_after_a_kill(
     assert job["state"] == "succeeded"
     outcomes = [attempt["outcome"] for attempt in job["attempts"]]
     assert outcomes == (["succeeded"] if what == "broker" else ["lost", "succeeded"])
-    assert "before.csv" in {each["name"] for each in job["result"]["artifacts"]}
+    left = {each["name"] for each in job["result"]["artifacts"]}
+    assert "before.csv" in left
+    assert ("during.csv" in left) == (what != "broker")
+    assert not [name for name in left if name.endswith(PART) and what != "broker"]
     if what != "broker":
         assert job["result"]["summary"]["resumed_from"] == sent
         eventually(lambda: all(map(_is_alive, (stack.pid("live"), stack.pid(SPARE)))), 30)
