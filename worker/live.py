@@ -9,17 +9,14 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import redis
 import structlog
-from sqlalchemy import or_, select
-from sqlalchemy.exc import SQLAlchemyError
 
-from service.queue.states import HELD, State
 from service.queue.streams import (
     KEPT_SECONDS,
     MOST_OUT,
@@ -30,10 +27,7 @@ from service.queue.streams import (
     Sent,
     parse,
 )
-from service.queue.table import has_run_out, is_due
-from service.queue.wakeups import LIVE, connect, wake
-from service.store.database import Store, clock
-from service.store.models import Job
+from service.queue.wakeups import connect
 from solver.kinds.live_channel import Channel, ChannelClosedError
 from solver.kinds.live_messages import FollowedFrame, Message, MessageError
 from solver.kinds.live_session import VIEW_FILE
@@ -47,7 +41,7 @@ log = structlog.get_logger()
 class BridgeOptions:
     """Bounds of a bridge; times in s."""
 
-    in_solver: int = 3  # frames that the solver has without an answer
+    in_solver: int = 32  # frames that the solver has without an answer: it follows the newest
     silent: float = 0.5  # without an answer, after which it is given one more
     asks: float = 0.5  # how long the broker is asked for news at a time
     rests: float = 0.2  # after the broker failed
@@ -78,7 +72,7 @@ class Bridge:
         self._stopping = threading.Event()
         self._changed = threading.Condition()
         self._inbox = Inbox()
-        self._in_solver = 0
+        self._in_solver: deque[int] = deque()  # numbers of frames without an answer
         self._answered = time.monotonic()
         self._told: dict[Any, Any] = {}  # the last words of each type
         self._unsent: list[Message] = []  # words that the broker has yet to get
@@ -164,7 +158,8 @@ class Bridge:
                 first = self._inbox.first
                 if first is not None and self._may_have(first):
                     sent = self._inbox.take()
-                    self._in_solver += sent.is_frame
+                    if sent.is_frame:
+                        self._in_solver.append(_number_of(sent.message))
                     return sent
                 self._changed.wait(self._options.silent)
         return None
@@ -173,7 +168,7 @@ class Bridge:
         is_silent = time.monotonic() - self._answered > self._options.silent
         if is_silent:
             self._answered = time.monotonic()
-        return not sent.is_frame or self._in_solver < self._options.in_solver or is_silent
+        return not sent.is_frame or len(self._in_solver) < self._options.in_solver or is_silent
 
     def _pass_out(self) -> None:
         """Send on what the solver says, to its last word."""
@@ -188,7 +183,7 @@ class Bridge:
                 self._publish(None)
                 continue
             with self._changed:
-                self._in_solver = max(self._in_solver - 1, 0)
+                self._settle(_number_of(message))
                 self._answered = time.monotonic()
                 self._changed.notify_all()
             if message.is_text:
@@ -196,6 +191,12 @@ class Bridge:
             elif self._inbox.dropped:
                 message = self._count(message)
             self._publish(message)
+
+    def _settle(self, number: int) -> None:
+        """Count what was given up to a frame's number as answered: one answer is for all of it."""
+        if number in self._in_solver:
+            while self._in_solver.popleft() != number:
+                pass
 
     def _note(self, words: Message) -> None:
         """Remember what somebody who joins later must be told."""
@@ -259,44 +260,17 @@ class Bridge:
         self._stopping.wait(self._options.rests)
 
 
+def _number_of(message: Message) -> int:
+    """Return the number of a frame, which all kinds of frames have at one place; -1: it has none.
+
+    What comes is a stranger's, as what the solver makes of it may be.
+    """
+    if message.is_text:
+        number = parse(message).get("number")
+        return number if isinstance(number, int) else -1
+    return int.from_bytes(message.data[8:12], "little") if len(message.data) >= 12 else -1
+
+
 def _entries(found: Any) -> list[tuple[bytes, Fields]]:
     """Return the entries of the one stream that was read."""
     return found[0][1] if found else []
-
-
-class Lookout(threading.Thread):
-    """Wakes this worker for sessions whose worker is lost, much sooner than a sweeper's round.
-
-    It looks every ``pause`` seconds while ``is_free`` says that the worker has a place.
-    """
-
-    def __init__(
-        self, store: Store, pause: float, is_free: Callable[[], bool], stopping: threading.Event
-    ) -> None:
-        super().__init__(name="lookout", daemon=True)
-        self._store = store
-        self._pause = pause
-        self._is_free = is_free
-        self._stopping = stopping
-
-    def run(self) -> None:
-        """Look until the worker stops."""
-        while not self._stopping.wait(self._pause):
-            if not self._is_free():
-                continue
-            try:
-                if (job_id := self._find()) is not None:
-                    with self._store.write() as session:
-                        wake(session, job_id, LIVE)
-            except SQLAlchemyError as error:
-                log.warning("database.unreachable", error=str(error))
-
-    def _find(self) -> str | None:
-        """Return a session that waits for a worker."""
-        with self._store.read() as session:
-            moment = clock(session)
-            lost = Job.state.in_(HELD) & has_run_out(moment)
-            waits = (Job.state == State.QUEUED) & is_due(Job, moment)
-            query = select(Job.id).where(Job.queue == LIVE, or_(lost, waits)).limit(1)
-            found: Any = session.scalar(query)
-        return None if found is None else str(found)
