@@ -7,16 +7,19 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from service.bounds import ERROR, SUMMARY, fit, fit_result, refuse_constant
 from service.queue.table import Claim
+from service.queue.wakeups import LIVE
 from service.store.database import Store
 from service.store.files import Files, LargerFileError
 from service.store.integrity import find_fault, note_fault
 from service.store.models import Artifact, Rig
 from solver.kinds import FILES, KINDS
+from solver.kinds.live_session import PART
 from worker.errors import InvalidOutputError, LostInputError
 from worker.orphans import remove_attempt
 
@@ -101,10 +104,22 @@ class AttemptFolder:
             "kind": self._claim.kind,
             "inputs": inputs,
             "options": self._claim.options,
-            "resume": bool(self._claim.frames or self._claim.kept),
+            "resume": bool(self._claim.frames or self._claim.kept) | self._rescue_takes(),
         }
         (self.path / "job.json").write_text(json.dumps(job))
         self._staged = self._disk_bytes()
+
+    def _rescue_takes(self) -> bool:
+        """Take over what an earlier attempt on this host was recording; return whether it was."""
+        if KINDS[self._claim.kind].queue != LIVE:
+            return False
+        earlier = replace(self._claim, attempt=self._claim.attempt - 1)
+        left = AttemptFolder(self.path.parent, earlier)._left()
+        parts = [path for path in left if path.name.endswith(PART)]
+        for path in parts:
+            with suppress(FileNotFoundError):  # the sweeper was faster
+                path.rename(self.path / "out" / path.name)
+        return bool(parts)
 
     def error(self) -> dict[str, Any] | None:
         """Return the solver's error, if it reported one.

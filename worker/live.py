@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -47,7 +48,7 @@ log = structlog.get_logger()
 class BridgeOptions:
     """Bounds of a bridge; times in s."""
 
-    in_solver: int = 3  # frames that the solver has without an answer
+    in_solver: int = 32  # frames that the solver has without an answer: it follows the newest
     silent: float = 0.5  # without an answer, after which it is given one more
     asks: float = 0.5  # how long the broker is asked for news at a time
     rests: float = 0.2  # after the broker failed
@@ -78,7 +79,7 @@ class Bridge:
         self._stopping = threading.Event()
         self._changed = threading.Condition()
         self._inbox = Inbox()
-        self._in_solver = 0
+        self._in_solver: deque[int] = deque()  # numbers of frames without an answer
         self._answered = time.monotonic()
         self._told: dict[Any, Any] = {}  # the last words of each type
         self._unsent: list[Message] = []  # words that the broker has yet to get
@@ -164,7 +165,8 @@ class Bridge:
                 first = self._inbox.first
                 if first is not None and self._may_have(first):
                     sent = self._inbox.take()
-                    self._in_solver += sent.is_frame
+                    if sent.is_frame:
+                        self._in_solver.append(_number_of(sent.message))
                     return sent
                 self._changed.wait(self._options.silent)
         return None
@@ -173,7 +175,7 @@ class Bridge:
         is_silent = time.monotonic() - self._answered > self._options.silent
         if is_silent:
             self._answered = time.monotonic()
-        return not sent.is_frame or self._in_solver < self._options.in_solver or is_silent
+        return not sent.is_frame or len(self._in_solver) < self._options.in_solver or is_silent
 
     def _pass_out(self) -> None:
         """Send on what the solver says, to its last word."""
@@ -188,7 +190,7 @@ class Bridge:
                 self._publish(None)
                 continue
             with self._changed:
-                self._in_solver = max(self._in_solver - 1, 0)
+                self._settle(_number_of(message))
                 self._answered = time.monotonic()
                 self._changed.notify_all()
             if message.is_text:
@@ -196,6 +198,12 @@ class Bridge:
             elif self._inbox.dropped:
                 message = self._count(message)
             self._publish(message)
+
+    def _settle(self, number: int) -> None:
+        """Count what was given up to a frame's number as answered: one answer is for all of it."""
+        if number in self._in_solver:
+            while self._in_solver.popleft() != number:
+                pass
 
     def _note(self, words: Message) -> None:
         """Remember what somebody who joins later must be told."""
@@ -257,6 +265,17 @@ class Bridge:
         self._is_told = False
         log.warning("broker.unreachable", error=str(error))
         self._stopping.wait(self._options.rests)
+
+
+def _number_of(message: Message) -> int:
+    """Return the number of a frame, which all kinds of frames have at one place; -1: it has none.
+
+    What comes is a stranger's, as what the solver makes of it may be.
+    """
+    if message.is_text:
+        number = parse(message).get("number")
+        return number if isinstance(number, int) else -1
+    return int.from_bytes(message.data[8:12], "little") if len(message.data) >= 12 else -1
 
 
 def _entries(found: Any) -> list[tuple[bytes, Fields]]:

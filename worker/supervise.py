@@ -91,6 +91,7 @@ class Supervisor:
         self._renewed = 0.0
         self._unwritten = _News([], [], [], {})
         self._bridge: Bridge | None = None
+        self._goes_on = False
 
     def run_next(self, queue: str) -> bool:
         """Claim the best job of a queue, do it and commit; False: there is none to be had."""
@@ -101,6 +102,7 @@ class Supervisor:
             return False
         self._renewed = time.monotonic()
         self._unwritten = _News([], [], [], {})
+        self._goes_on = False
         ids: dict[str, Any] = {"job_id": claim.job_id, "attempt": claim.attempt}
         with (
             structlog.contextvars.bound_contextvars(**ids),
@@ -133,10 +135,15 @@ class Supervisor:
                 self._lose(claim, storage_error(error))
 
     def _clear(self, claim: Claim, folder: AttemptFolder) -> None:
-        """Keep what later jobs of the tenant need, and remove the rest."""
+        """Keep what later jobs of the tenant need, and remove the rest.
+
+        Of a session that goes on the next attempt takes over what it was recording; the sweeper
+        removes it then.
+        """
         try:
             TenantCache(claim.tenant_id, self._settings).keep_new(folder.path / CACHE)
-            folder.remove()
+            if not (self._goes_on and KINDS[claim.kind].queue == LIVE):
+                folder.remove()
         except OSError as error:  # the sweeper tries again
             log.warning("attempt.not_removed", error=str(error))
 
@@ -167,6 +174,7 @@ class Supervisor:
             _report_end("canceled")
         except ShutdownError:
             process.stop()
+            self._goes_on = True
             self._commit(lambda session: table.release(session, claim.job_id, claim.attempt))
             _report_end("released")
         except LeaseLostError:
@@ -320,6 +328,7 @@ class Supervisor:
             self._confirm_cancel(claim)
 
     def _lose(self, claim: Claim, error: dict[str, Any]) -> None:
+        self._goes_on = True
         self._commit(lambda session: table.lose(session, claim.job_id, claim.attempt, error))
         _report_end("attempt_lost", failed=True, error=error)
 

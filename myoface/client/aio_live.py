@@ -179,7 +179,7 @@ class AsyncLiveFace:
     async def receive(self, timeout: float | None = None) -> LiveFrame | None:
         """Return the next face; None: there is none within ``timeout`` seconds.
 
-        Raises :class:`ApiError` (``client.ended``) when the session is over.
+        Raises :class:`ApiError` when the session is over: its error, or ``client.ended``.
         """
         until = None if timeout is None else time.monotonic() + timeout
         while True:
@@ -256,7 +256,12 @@ class AsyncLiveFace:
             return None
         if isinstance(message, bytes):
             return read_frame(message, self.ready.get("layout") or ())
-        self._note(json.loads(message))
+        words = json.loads(message)
+        if words.get("type") == "ended":
+            session = await self._client.live_session(self.id)
+            detail = f"the session has ended: {words.get('reason')}"
+            raise ApiError(session.error or {"code": ENDED, "detail": detail})
+        self._note(words)
         return None
 
     def _note(self, words: dict[str, Any]) -> None:
@@ -270,9 +275,6 @@ class AsyncLiveFace:
             self.takes.append(words)
         elif kind == "fault":
             self.faults.append(words)
-        elif kind == "ended":
-            detail = f"the session has ended: {words.get('reason')}"
-            raise ApiError({"code": ENDED, "detail": detail})
 
     async def _pass_on(self, message: bytes | str) -> None:
         socket = self._connected()

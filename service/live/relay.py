@@ -41,7 +41,7 @@ class RelayOptions:
 
     rate: float = 500.0  # messages a second that a station may send
     burst: float = 100.0  # at once
-    behind: int = 4  # frames, of those that wait for a slow reader, that it gets
+    behind: int = 8  # frames, of those that wait for a slow reader, that it gets
     rests: float = 0.2  # after the broker failed
     looks: float = 2.0  # between two looks whether the session is over, and the key still good
     sends: float = 60.0  # for a client that takes nothing

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 
 from solver.kinds.live_messages import Message
 
-MOST_IN = 32  # messages that wait for a session, half a second of a camera's
+MOST_IN = 64  # messages that wait for a session, a second of a camera's
 MOST_OUT = 64  # that wait for the slowest of those who watch
-MOST_FRAMES = 8  # that wait in a process on their way to a session
+MOST_FRAMES = 16  # that wait in a process on their way to a session
 MOST_WORDS = 64  # messages that wait there, beyond which words are not heard
 KEPT_SECONDS = 300  # after the last write
 LARGEST = 1 << 20  # bytes of a message

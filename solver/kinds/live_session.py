@@ -12,6 +12,8 @@ from pydantic import Field
 from solver.kinds.kind import JobOptions, Kind
 
 VIEW_FILE = "live_view.bin"  # the shapes that a page draws a session's frames by
+# Ends the names of takes that are being recorded: the next attempt finishes what it finds of them
+PART = ".part"
 
 Source = Literal["markers", "weights", "points", "landmarks"]
 

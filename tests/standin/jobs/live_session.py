@@ -7,6 +7,7 @@ import time
 
 from solver.jobs import Task
 from solver.kinds.live_messages import RESUMED, FollowedFrame, GivenFrame, Message, MessageError
+from solver.kinds.live_session import PART
 
 
 def run(task: Task) -> None:
@@ -23,6 +24,9 @@ def run(task: Task) -> None:
     figures = {"frames": 0, "takes": [], "inputs": sorted(task.inputs), "resume": task.resume}
     recorded: list[int] = []
     name = None
+    for part in task.out.glob(f"*{PART}") if task.resume else ():
+        part.rename(task.out / part.stem)
+        figures["takes"].append(part.name.split(".")[0])
     flags = 0
     heard = time.monotonic()
     while time.monotonic() - heard < task.options.idle_seconds:
@@ -42,9 +46,11 @@ def run(task: Task) -> None:
             time.sleep(100)
         if "record" in words:
             name, recorded = words["record"], []
+            (task.out / f"{name}.csv{PART}").touch()
             say(type="recording", name=name)
         if "stop" in words and name:
             file = f"{name}.csv"
+            (task.out / f"{file}{PART}").unlink()
             (task.out / file).write_text("\n".join(map(str, recorded)))
             figures["takes"].append(name)
             say(type="take", name=name, file=file, frames=len(recorded), seconds=1.0)
