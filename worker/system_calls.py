@@ -173,6 +173,8 @@ BY_ARGUMENT: Final[dict[str, ArgumentRule]] = {
     # Limits and processors of this process (0), not of others
     "prlimit64": ArgumentRule((302, 261), 0, (0,)),
     "sched_setaffinity": ArgumentRule((203, 122), 0, (0,)),
+    # Less of the processor for this process itself: a live session's full solves stand back
+    "setpriority": ArgumentRule((141, 140), 1, (0,)),
     # Names of threads and of memory, and no_new_privs, which takes away; not the signal at the
     # worker's end, nor dumps
     "prctl": ArgumentRule((157, 167), 0, (15, 16, 23, 38, 39, 0x53564D41)),

@@ -59,7 +59,7 @@ class LiveFace:
     def amounts(self, values: Floats, *, learned: bool = False) -> Floats:
         """Return the amounts (r,) of the skin's modes, ``learned`` ones where there are some."""
         if not learned or self.controls is None:
-            return self.live.skin.amounts(values)
+            return self.live.amounts(values)
         rest, modes = self._learned
         return np.asarray(rest + modes @ self.controls.skin_coordinates(self._weights(values)))
 

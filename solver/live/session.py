@@ -342,4 +342,4 @@ def write_view(face: LiveFace, path: Path) -> None:
         "muscles": list(face.rig.model.muscle_names),
         "error_mm": face.live.error_mm,
     }
-    write_container(path, header, {"basis": face.live.skin.basis})
+    write_container(path, header, {"basis": np.asarray(face.live.basis, np.float16)})

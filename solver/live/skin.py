@@ -1,8 +1,9 @@
 """The reduced skin of a live session: a template's expressions as sliders, and modes they move.
 
-The skin is the neutral + amounts @ basis, and amounts are quadratic in the sliders' values
-(:class:`~solver.rig.frames.skin_basis.ReducedSkin`). It is made once for a rig, which takes
-minutes, and kept as ``live_skin.npz``.
+The skin is the neutral + amounts @ basis, and the first amounts are quadratic in the sliders'
+values (:class:`~solver.rig.frames.skin_basis.ReducedSkin`). The others are of spare modes: what
+muscles do at rest beside the expressions, for full solves to mend the skin by. It is made once for
+a rig, which takes minutes, and kept as ``live_skin.npz``.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from solver.fitting import prior
 from solver.fitting.expression_basis import ExpressionBasis, basis_identity
 from solver.fitting.face import Face
+from solver.fitting.sensitivity import Sensitivity
 from solver.kinds import FILES
 from solver.model import SubjectModel
-from solver.rig.frames.skin_basis import ReducedSkin
+from solver.rig.frames.skin_basis import ReducedSkin, ReductionOptions, modes_of
 from solver.rig.preview import PreviewOptions, make_live_preview
 from solver.rig.preview.sliders import Control, Sliders
 from solver.storage import Archive
@@ -36,7 +39,11 @@ class LiveSkinOptions:
 
     seed: int = 1
     seconds: float = 900.0
-    preview: PreviewOptions = field(default_factory=PreviewOptions)
+    spare: int = 128  # modes of muscles
+    directions: int = 256  # of muscles and jaw, the most probable, that these are made of
+    preview: PreviewOptions = field(
+        default_factory=lambda: PreviewOptions(reduction=ReductionOptions(modes=96))
+    )
 
 
 LIVE_SKIN = LiveSkinOptions()
@@ -48,6 +55,7 @@ class LiveSkin:
 
     sliders: Sliders
     skin: ReducedSkin
+    spare: NDArray[np.float16]  # (t, n, 3) modes that no slider moves
     error_mm: dict[str, float]
 
     @property
@@ -57,8 +65,12 @@ class LiveSkin:
 
     @cached_property
     def basis(self) -> Floats:
-        """The modes (r, n, 3) in mm."""
-        return np.asarray(self.skin.basis, np.float64)
+        """All modes (r, n, 3) in mm, the spare ones last."""
+        return np.concatenate([self.skin.basis, self.spare]).astype(np.float64)
+
+    def amounts(self, values: Floats) -> Floats:
+        """Return the amounts (r,) of all modes for slider values (s,), 0 of the spare ones."""
+        return np.append(self.skin.amounts(values), np.zeros(len(self.spare)))
 
     @classmethod
     def make(
@@ -79,7 +91,8 @@ class LiveSkin:
             listen=listen,
             options=options.preview,
         )
-        return cls(made.controls, made.skin, made.unseen.overall())
+        spare = muscle_modes(face, basis, made.skin.basis.astype(np.float64), options)
+        return cls(made.controls, made.skin, spare, made.unseen.overall())
 
     def save(self, path: Path, face: Face, shapes: NDArray[np.floating]) -> None:
         """Write the skin as NPZ; it is of a face and a template's ``shapes``."""
@@ -93,6 +106,7 @@ class LiveSkin:
         arrays = {
             "directions": self.sliders.directions,
             "basis": skin.basis,
+            "spare": self.spare,
             "linear": skin.linear,
             "quadratic": skin.quadratic,
         }
@@ -114,30 +128,53 @@ class LiveSkin:
         rest = face.rest_pose()
         sliders = Sliders(controls, rest, arrays["directions"], presets, face.jaw)
         skin = ReducedSkin(arrays["basis"], arrays["linear"], arrays["quadratic"])
-        return cls(sliders, skin, archive.header["error_mm"])
+        return cls(sliders, skin, arrays["spare"], archive.header["error_mm"])
+
+
+def muscle_modes(
+    face: Face, basis: ExpressionBasis, modes: Floats, options: LiveSkinOptions
+) -> NDArray[np.float16]:
+    """Return modes (t, n, 3) of what muscles and jaw do at rest, less what ``modes`` (r, n, 3) do.
+
+    It is the flesh's linear response to the main directions of the expressions' prior, each as far
+    as it is probable.
+    """
+    values, vectors = np.linalg.eigh(prior.from_basis(face, basis).covariance)
+    main = np.argsort(values)[::-1][: options.directions]
+    directions = vectors[:, main] * np.sqrt(np.maximum(values[main], 0.0))
+    moved = Sensitivity(face, face.rest).motions_along(directions)
+    flesh = moved.reshape(len(face.model.rest), 3, -1)
+    by_jaw = directions[face.layout.joint_places]
+    motions = np.moveaxis(face.skin_rates(flesh, face.rest.pose.b, by_jaw), 2, 0)
+    weights = _weights(face.model)
+    rows = SkinProjection(face.model, modes).rows
+    known = motions.reshape(len(motions), -1) @ rows.T
+    left = motions - np.tensordot(known, modes, 1)
+    found = modes_of(left, weights, ReductionOptions(modes=options.spare))
+    return np.asarray(found / np.abs(found).max(axis=(1, 2), keepdims=True), np.float16)
+
+
+def _weights(model: SubjectModel) -> Floats:
+    """Return weights (n,) of the skin's vertices: the face's count, others little."""
+    weights = np.full(len(model.skin.vertices), PreviewOptions.off_face)
+    weights[model.face] = 1.0
+    return np.asarray(weights / weights.sum())
 
 
 class SkinProjection:
     """Amounts of modes (r, n, 3) that come nearest to skins, on the points of the face.
 
-    What is off the face counts little, as where the modes were made.
+    What is off the face counts little, as where the modes were made. ``rows`` (r, 3 n) are the
+    amounts' derivative by the skin.
     """
 
-    def __init__(
-        self,
-        model: SubjectModel,
-        basis: Floats,
-        off_face: float = PreviewOptions.off_face,
-        ridge: float = 1e-9,
-    ) -> None:
-        weights = np.full(basis.shape[1], off_face)
-        weights[model.face] = 1.0
+    def __init__(self, model: SubjectModel, basis: Floats, ridge: float = 1e-9) -> None:
         self._neutral = model.skin.vertices
-        weighted = (basis * weights[:, None]).reshape(len(basis), -1)
+        weighted = (basis * _weights(model)[:, None]).reshape(len(basis), -1)
         gram = weighted @ basis.reshape(len(basis), -1).T
         gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / len(gram)
-        self._rows = np.linalg.solve(gram, weighted)
+        self.rows = np.linalg.solve(gram, weighted)
 
     def __call__(self, skin: Floats) -> Floats:
         """Return the amounts (r,) of a skin (n, 3)."""
-        return np.asarray(self._rows @ (skin - self._neutral).ravel())
+        return np.asarray(self.rows @ (skin - self._neutral).ravel())

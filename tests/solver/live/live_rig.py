@@ -45,5 +45,6 @@ def live_files(folder: Path) -> dict[str, Path]:
     rig.save(files["rig"])
     changes = tuple(column[None] for column in directions.T)
     ExpressionBasis(shapes, changes).save(files["expression_basis"], face)
-    LiveSkin(sliders, skin, {"mean": 0.1}).save(files["live_skin"], face, shapes)
+    spare = np.zeros((0, *shapes.shape[1:]), np.float16)
+    LiveSkin(sliders, skin, spare, {"mean": 0.1}).save(files["live_skin"], face, shapes)
     return files

@@ -207,7 +207,7 @@ def test_full_solves_measure_the_error_and_mend_it(files, tmp_path):
     assert session.errors.solved >= 12
     errors = [error for _, error in session.errors._recent]
     assert errors[0] > 0.2
-    assert errors[-1] < 0.3 * errors[0]
+    assert errors[-1] < 0.6 * errors[0]
     assert np.isnan(told[0])
     assert np.isfinite(told[-1])
     assert not session._checks._process.is_alive()
