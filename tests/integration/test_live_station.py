@@ -42,7 +42,7 @@ def test_lines_are_followed_and_the_take_is_stored(
     assert "30 frames sent, 30 followed, 0 dropped" in told.stdout
     assert "1 faults, line 31: this is not JSON" in told.stdout
     assert "walk: walk.csv, 30 frames" in told.stdout
-    [session] = studio.get(f"/v1/live?rig_id={rig_id}")["items"]
+    session, *_ = studio.get(f"/v1/live?rig_id={rig_id}")["items"]
     assert f"{stack.url}/rigs/{rig_id}?live={session['id']}" in told.stdout
     job = studio.job(session["id"])
     assert (job["state"], job["result"]["summary"]["takes"]) == ("succeeded", ["walk"])
@@ -57,7 +57,8 @@ def test_a_session_that_is_ended_elsewhere_ends_the_station(
         port = free.getsockname()[1]
 
     def end() -> None:
-        [session] = eventually(lambda: _open_sessions(studio, rig_id))
+        eventually(lambda: len(_open_sessions(studio, rig_id)) == 1)
+        [session] = _open_sessions(studio, rig_id)
         time.sleep(0.5)
         studio.http.delete(f"/v1/live/{session['id']}")
 
