@@ -305,8 +305,11 @@ class Lookout(threading.Thread):
                 continue
             try:
                 if (job_id := self._find()) is not None:
+                    began = time.monotonic()
                     with self._store.write() as session:
-                        wake(session, job_id, LIVE)
+                        # one that has waited is not alone: the session's worker may be alive
+                        if time.monotonic() - began < self._pause:
+                            wake(session, job_id, LIVE)
             except SQLAlchemyError as error:
                 log.warning("database.unreachable", error=str(error))
 

@@ -17,7 +17,7 @@ from myoface.doctor.machine import OTHERS, Diagnosis
 from service.access.keys import Keyring
 from service.errors import Problem
 from service.queue.states import HELD, State
-from service.queue.wakeups import QUEUES, connect
+from service.queue.wakeups import LIVE, QUEUES, connect
 from service.secret import secret as secret_of
 from service.settings import Settings
 from service.store import deletion
@@ -152,8 +152,9 @@ def keys(store: Store, settings: Settings) -> Diagnosis:
 def workers(store: Store, settings: Settings) -> Diagnosis:
     """Check that every queue has a worker."""
     living = Counter(worker.queue for worker in living_workers(store, settings))
-    found = ", ".join(f"{queue} {living[queue]}" for queue in QUEUES)
-    if all(living[queue] for queue in QUEUES):
+    wanted = [queue for queue in QUEUES if queue != LIVE or settings.live_workers]
+    found = ", ".join(f"{queue} {living[queue]}" for queue in wanted)
+    if all(living[queue] for queue in wanted):
         return Diagnosis("workers", "ok", found)
     advice = "jobs of a queue without one wait; start it: python -m worker QUEUE"
     return Diagnosis("workers", "warning", found, advice)

@@ -115,12 +115,17 @@ def show(session_id: Id, session: ReadSession) -> SessionView:
     responses=problems(404, 409, 422),
 )
 def make_ticket(
-    session_id: Id, order: TicketOrder, session: ReadSession, who: Reader, tickets: TicketsDep
+    session_id: Id,
+    session: ReadSession,
+    who: Reader,
+    tickets: TicketsDep,
+    wanted: TicketOrder | None = None,
 ) -> TicketView:
     """Make a ticket that opens one more connection: the station's in the place of its last one.
 
     Without `watch` the key needs the scope `write`.
     """
+    order = wanted or TicketOrder()
     require(Scope.READ if order.watch else Scope.WRITE, who)
     service.require_open(session, session_id)
     return _ticket(tickets, session_id, who, order)

@@ -10,8 +10,11 @@ from typing import Any
 import pytest
 
 from service.access.principal import Scope
+from service.jobs.schemas import NewJob
+from service.queue import table
+from service.queue.wakeups import LIVE
 from service.settings import Settings
-from service.store.models import Tenant
+from service.store.models import Job, Rig, Tenant
 from tests.service_client import OFFSET_STREAM, Studio, served
 
 HTTP = ("get", "head", "post", "put", "patch", "delete")
@@ -50,6 +53,7 @@ def _one_of_everything(studio: Studio) -> dict[str, str]:
         "upload_id": upload,
         "job_id": job,
         "rig_id": rig.id,
+        "session_id": _session(studio, rig),
         "batch_id": batch["id"],
         "artifact_id": left.id,
         "key_id": studio.post("/v1/keys", name="x", scopes=["read"])["id"],
@@ -58,6 +62,24 @@ def _one_of_everything(studio: Studio) -> dict[str, str]:
         "delivery_id": delivery,
         "name": "rig.glb",
     }
+
+
+def _session(studio: Studio, rig: Rig) -> str:
+    """Return a live session of a tenant's, as it is queued."""
+    store = studio.http.app.state.store.of(rig.tenant_id)  # type: ignore[attr-defined]
+    order = NewJob(kind="live_session", subject_id=rig.subject_id, rig_id=rig.id)
+    with store.write() as session:
+        job = Job(
+            tenant_id=rig.tenant_id,
+            subject_id=rig.subject_id,
+            kind=order.kind,
+            queue=LIVE,
+            request=order.model_dump(),
+            inputs=[],
+            max_attempts=1,
+        )
+        table.create(session, job)
+        return str(job.id)
 
 
 BODIES: dict[tuple[str, str], dict[str, Any]] = {
@@ -98,7 +120,8 @@ def test_foreign_ids_answer_as_unknown_ones_on_every_verb(tenants: tuple[Studio,
             assert answers[0] == answers[1], (method, path)
             tried += 1
     assert tried >= 15
-    for path in ("/v1/jobs", "/v1/rigs", "/v1/subjects", "/v1/templates", "/v1/batches"):
+    lists = ("jobs", "live", "rigs", "subjects", "templates", "batches")
+    for path in (f"/v1/{each}" for each in lists):
         assert theirs.get(path)["items"] == []
         assert ours.get(path)["items"] != []
     for path in ("/v1/jobs", "/v1/rigs"):
@@ -136,6 +159,7 @@ def test_foreign_ids_in_bodies_are_unknown(tenants: tuple[Studio, Studio]) -> No
             "upload",
         ),
         ("/v1/jobs", {"kind": "build_model", "subject_id": foreign["subject_id"]}, "subject"),
+        ("/v1/live", {"rig_id": foreign["rig_id"]}, "rig"),
         ("/v1/batches", {"subject_id": foreign["subject_id"], "captures": [scan]}, "subject"),
         ("/v1/batches", {"subject": {"name": "x"}, "captures": [scan]}, "upload"),
         ("/v1/jobs", {**fit, "rig_id": foreign["rig_id"], "captures": [mine["capture_id"]]}, "rig"),
