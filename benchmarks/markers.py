@@ -32,7 +32,6 @@ from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.activation import unseen_regulariser
 from solver.fitting.controls import jaw_on_tracks
-from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face
 from solver.fitting.markers.filter import KnownControls
@@ -91,7 +90,7 @@ def run(options: argparse.Namespace) -> Figures:
     """Measure everything and return the figures."""
     frames = options.frames or (QUICK_FRAMES if options.quick else FRAMES)
     parts = options.parts
-    rig = _rig(options)
+    rig = subject_fits.given_rig(options)
     face = rig.face(fastest())
     kit = read_facekit(options.faces)
     neutral = ict_neutral(kit, options.faces, options.subject, options.capture_sets)
@@ -298,17 +297,6 @@ def _left_out(
             there = tracker.step(SeenMarkers(seen)).placed.points[marker]
             off.append(float(np.linalg.norm(there - frames[row][marker])))
     return np.array(off)
-
-
-def _rig(options: argparse.Namespace) -> Rig:
-    if options.rig is not None:
-        rig = Rig.load({"rig": options.rig})
-        return replace(rig, drive=SixNumbers()) if options.controls == "free" else rig
-    edge = COARSE_EDGE_MM if options.quick else EDGE_MM
-    model, captures = subjects.load(options, edge)
-    schedule = subjects.schedule(options, model, quick=options.quick)
-    fits = subject_fits.by_geometry(Face(model), captures.train, schedule)
-    return Rig(model, fits.face.S, tuple(fits.expressions("train")), drive=fits.face.drive)
 
 
 def _dense(face: Face, truth: Truth) -> Figures:

@@ -20,6 +20,7 @@ from solver.fitting import fallback, geometry, per_tet
 from solver.fitting.activation import UNSEEN_STOP, unseen_regulariser
 from solver.fitting.contact import terms
 from solver.fitting.drives.admissible import Admissible
+from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit, Status
 from solver.fitting.geometry import GeometryOptions
@@ -268,3 +269,15 @@ def face_of_rig(
     """Return the face of :func:`subject_rig` with the controls of the options."""
     rig = subject_rig(options, path, change)
     return subjects.bounded(Face(rig.model, rig.weights), options)
+
+
+def given_rig(options: argparse.Namespace) -> Rig:
+    """Return the rig of ``options.rig``, else that of the subject's training scans, fitted now."""
+    if options.rig is not None:
+        rig = Rig.load({"rig": options.rig})
+        return replace(rig, drive=SixNumbers()) if options.controls == "free" else rig
+    edge = subjects.COARSE_EDGE_MM if options.quick else subjects.EDGE_MM
+    model, captures = subjects.load(options, edge)
+    schedule = subjects.schedule(options, model, quick=options.quick)
+    fits = by_geometry(Face(model), captures.train, schedule)
+    return Rig(model, fits.face.S, tuple(fits.expressions("train")), drive=fits.face.drive)

@@ -120,7 +120,8 @@ class Station:
         kind = message.get("type")
         if kind == "take":
             self._is_recording = False
-            self.tally.takes.append(message)
+            if message.get("file"):  # one without frames has none
+                self.tally.takes.append(message)
         elif kind == "recording":
             self._is_recording = True
         elif kind == "fault":

@@ -16,7 +16,14 @@ from solver.errors import InputError
 from solver.fitting.expression_basis import FILE as BASIS_FILE
 from solver.jobs import Task
 from solver.kinds.live_channel import Channel, ChannelClosedError
-from solver.kinds.live_messages import FOLLOWED, FollowedFrame, GivenFrame, Message, MessageError
+from solver.kinds.live_messages import (
+    FOLLOWED,
+    GIVEN,
+    FollowedFrame,
+    GivenFrame,
+    Message,
+    MessageError,
+)
 from solver.kinds.live_session import VIEW_FILE
 from solver.kinds.live_session import LiveSession as Options
 from solver.live.session import LiveOptions, LiveSession
@@ -69,6 +76,7 @@ class _Loop:
         self._shown = 0.0
         self._is_resuming = False
         self._waiting: list[_Given] = []
+        self._early: list[Message] = []  # that came before the session could begin
 
     def hold(self) -> list[Path]:
         """Hold the session and return the files that it leaves."""
@@ -85,6 +93,8 @@ class _Loop:
         try:
             self._tell(session.ready())
             self._begin = self._last_frame = time.monotonic()
+            for message in self._early:
+                self._take_message(session, message)
             while self._ending is None:
                 self._turn(session)
         except (ChannelClosedError, MessageError):  # after one that is too long nothing is read
@@ -187,11 +197,14 @@ class _Loop:
         """End the take that is being recorded, if there is one."""
         if self._take is None:
             return
+        name = self._take.name
         take = self._take.finish()
         self._take = None
-        if take is not None:
-            told = {} if session is None else {"error_mm": _rounded(session.errors.told)}
-            self._left(take, told)
+        if take is None:
+            self._tell({"type": "take", "name": name, "file": None, "frames": 0, "seconds": 0.0})
+            return
+        told = {} if session is None else {"error_mm": _rounded(session.errors.told)}
+        self._left(take, told)
 
     def _left(self, take: LeftTake, more: Mapping[str, Any]) -> None:
         self._takes.append({**asdict(take), **more})
@@ -213,17 +226,21 @@ class _Loop:
             self._task.progress(Step("live", 0.1 + 0.85 * part, session.frames, message=words))
 
     def _prepare(self, phase: str, part: float) -> None:
-        """Tell what is made before the session can begin; frames that come are dropped."""
+        """Tell what is made before the session can begin.
+
+        Frames that come are dropped, what is wanted is kept for the session.
+        """
         self._tell({"type": "preparing", "phase": phase, "fraction": round(part, 3)})
         self._task.progress(Step(phase, 0.1 * part))
         while (message := self._channel.receive(0.0)) is not None:
-            if not message.is_text:
+            said = _try_object(message)
+            if "end" in said:
+                self._ending = "asked"
+                raise _EndedError
+            if "number" in said or message.data.startswith(GIVEN):
                 self._dropped += 1
-                continue
-            with suppress(MessageError):
-                if _read_object(message.data).get("end"):
-                    self._ending = "asked"
-                    raise _EndedError
+            elif len(self._early) < LOOP.most_waiting:
+                self._early.append(message)
 
     def _tell(self, said: Mapping[str, Any]) -> None:
         self._channel.send(Message(json.dumps(said).encode(), is_text=True))
@@ -292,6 +309,13 @@ def _read_object(data: bytes) -> dict[str, Any]:
     if not isinstance(said, dict):
         raise MessageError("a message is an object of JSON")
     return said
+
+
+def _try_object(message: Message) -> dict[str, Any]:
+    """Return what a message of JSON says, nothing of any other."""
+    with suppress(MessageError):
+        return _read_object(message.data) if message.is_text else {}
+    return {}
 
 
 def _rounded(told: tuple[float, float]) -> dict[str, float | None]:

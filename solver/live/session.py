@@ -123,6 +123,7 @@ class LiveSession:
         self.options = options
         self.errors = RunningError(options.window_s)
         self.frames = 0
+        self.sample: Sample | None = None  # of the frame that was followed last
         self._held = 0
         self._gaps = 0
         self._solve_ms = Counts(0.05, 10_000)
@@ -179,6 +180,11 @@ class LiveSession:
             ("contractions", (self.face.rig.model.muscle_count,)),
             *skin,
         )
+
+    @property
+    def is_checking(self) -> bool:
+        """Return whether the process of full solves has begun and waits for a frame."""
+        return self._checks is not None and self._checks.wants_one
 
     def ready(self) -> dict[str, Any]:
         """Return the message that says what frames are to be, and what comes back."""
@@ -237,9 +243,10 @@ class LiveSession:
         if followed.is_held:
             flags |= HELD
             self._held += 1
+        values = followed.values
+        self.sample = Sample(frame.number, numbers, values, followed.clues, plain, sent)
         if self._checks is not None and not followed.is_held and self._checks.wants_one:
-            values = followed.values
-            self._checks.offer(Sample(frame.number, numbers, values, followed.clues, plain, sent))
+            self._checks.offer(self.sample)
         self.frames += 1
         spent = 1e3 * (time.perf_counter() - begin)
         self._solve_ms.add(spent)

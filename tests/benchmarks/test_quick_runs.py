@@ -60,6 +60,7 @@ NEEDS: dict[str, Callable[[], list[str]] | None] = {
     "fit_speed": None,
     "information": None,
     "ingest": None,
+    "live": by_default,
     "marker_check": None,
     "markers": by_default,
     "neck": None,
