@@ -28,7 +28,7 @@ WORDS = {
     "aio_(access|captures|connection|live)": r"sync_\1",
     "async_(check_archive|count_vertices|is_unpacked|sha256_of|unpack|with_images)": r"\1",
     "asynccontextmanager": "contextmanager",
-    r"Async(Access|Captures|Client|Connect|Connection|LiveFace|LiveSessions|Lock|Socket)": r"\1",
+    r"Async(Access|Captures|Client|Connection|Line|LiveFace|LiveSessions|Lock|Socket)": r"\1",
     "Async(Iterable|Iterator)": r"\1",
     r"__a(enter|exit)__": r"__\1__",
     r"a(close|iter_bytes|read)": r"\1",

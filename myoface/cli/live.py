@@ -90,7 +90,7 @@ def live(
         bool, Option("--stdout", help="write faces as lines of JSON to standard output")
     ] = False,
     record: Annotated[
-        str | None, Option(metavar="NAME", help="record a take from the start")
+        str | None, Option(metavar="NAME", parser=read_take, help="record a take from the start")
     ] = None,
     source: Annotated[
         Source | None, Option(help="what the frames of --osc and --stdin are; default: weights")

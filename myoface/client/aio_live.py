@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import AsyncIterable, AsyncIterator, Callable, Iterable, Mapping
 from contextlib import asynccontextmanager, suppress
-from typing import Any
+from typing import Any, Protocol
 
 import anyio
 
@@ -24,14 +24,7 @@ from myoface.client.live_frames import (
     read_frame,
 )
 from myoface.client.retry import Backoff, ClientOptions
-from myoface.client.sockets import (
-    CLOSED,
-    AsyncConnect,
-    AsyncLock,
-    AsyncSocket,
-    address_of,
-    describe_proxy,
-)
+from myoface.client.sockets import CLOSED, AsyncLock, AsyncSocket, address_of, describe_proxy
 from myoface.errors import UNREACHABLE, ApiError
 from myoface.resources import Artifact, FromJob, Rig
 
@@ -76,7 +69,7 @@ class AsyncLiveSessions(AsyncCaptures):
             **by_origin(captures),
             options=options,
         )
-        face = self._face(opened.id, False, listen)
+        face = AsyncLiveFace(opened.id, _ServiceLine(self, opened.id), self._options, listen)
         try:
             await face.open(await self._open_socket(opened.url))
             yield face
@@ -89,7 +82,8 @@ class AsyncLiveSessions(AsyncCaptures):
         self, session_id: str, *, watch: bool = True, listen: Listener = unheard
     ) -> AsyncIterator[AsyncLiveFace]:
         """Connect to a session that somebody opened, to ``watch`` it or in its station's place."""
-        face = self._face(session_id, watch, listen)
+        line = _ServiceLine(self, session_id, watch)
+        face = AsyncLiveFace(session_id, line, self._options, listen)
         try:
             ticket = await self.live_ticket(session_id, watch=watch)
             await face.open(await self._open_socket(ticket.url))
@@ -114,22 +108,43 @@ class AsyncLiveSessions(AsyncCaptures):
         response = await self._request("DELETE", f"/v1/live/{session_id}", through=True)
         return LiveSession.read(response.json())
 
-    def _face(self, session_id: str, watch: bool, listen: Listener) -> AsyncLiveFace:
-        async def connect() -> AsyncSocket:
-            ticket = await self.live_ticket(session_id, watch=watch)
-            return await self._open_socket(ticket.url)
-
-        return AsyncLiveFace(session_id, connect, self._options, listen)
-
     async def _open_socket(self, url: str) -> AsyncSocket:
         proxy = describe_proxy(self._proxy)
         return await AsyncSocket.open(address_of(self._url, url), self._authority, proxy)
 
 
+class AsyncLine(Protocol):
+    """The way to a session: a face connects by it, again where a connection broke."""
+
+    async def connect(self) -> AsyncSocket:
+        """Return a new connection; raises :class:`ApiError`."""
+
+    async def error(self) -> dict[str, Any] | None:
+        """Return the error that the session has ended with, if it has."""
+
+
+class _ServiceLine:
+    """The way to a session of a service, by a new ticket each time."""
+
+    def __init__(self, client: AsyncLiveSessions, session_id: str, watch: bool = False) -> None:
+        self._client = client
+        self._id = session_id
+        self._watch = watch
+
+    async def connect(self) -> AsyncSocket:
+        """Connect by a new ticket."""
+        ticket = await self._client.live_ticket(self._id, watch=self._watch)
+        return await self._client._open_socket(ticket.url)
+
+    async def error(self) -> dict[str, Any] | None:
+        """Return the error of the session's job."""
+        return (await self._client.live_session(self._id)).error
+
+
 class AsyncLiveFace:
     """The face of a live session: frames go to it, and faces come back.
 
-    A line that breaks is mended by ``connect``; frames meanwhile are lost. One task may send while
+    A line that breaks is mended by ``line``; frames meanwhile are lost. One task may send while
     another receives. ``ready`` is what the
     session said when it was: the ``layout`` of its frames, ``expects``, its ``sliders`` and
     ``muscles``. ``takes`` and ``faults`` are what it said of takes and of frames that it could not
@@ -137,18 +152,14 @@ class AsyncLiveFace:
     """
 
     def __init__(
-        self,
-        session_id: str,
-        connect: AsyncConnect,
-        options: ClientOptions,
-        listen: Listener = unheard,
+        self, session_id: str, line: AsyncLine, options: ClientOptions, listen: Listener = unheard
     ) -> None:
         self.id = session_id
         self.ready: dict[str, Any] = {}
         self.takes: list[dict[str, Any]] = []
         self.faults: deque[dict[str, Any]] = deque(maxlen=MOST_FAULTS)
         self.preparing: dict[str, Any] = {}
-        self._connect = connect
+        self._line = line
         self._options = options
         self._listen = listen
         self._socket: AsyncSocket | None = None
@@ -258,9 +269,9 @@ class AsyncLiveFace:
             return read_frame(message, self.ready.get("layout") or ())
         words = json.loads(message)
         if words.get("type") == "ended":
-            session = await self._client.live_session(self.id)
+            self._listen(words)
             detail = f"the session has ended: {words.get('reason')}"
-            raise ApiError(session.error or {"code": ENDED, "detail": detail})
+            raise ApiError(await self._line.error() or {"code": ENDED, "detail": detail})
         self._note(words)
         return None
 
@@ -301,6 +312,6 @@ class AsyncLiveFace:
             backoff = Backoff(self._options)
             while self._socket is socket:
                 try:
-                    self._socket = await self._connect()
+                    self._socket = await self._line.connect()
                 except ApiError as again:
                     await anyio.sleep(backoff.pause_if_transient(again))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import ssl
 import threading
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
-from typing import Any, TypeAlias
+from typing import Any
 
 import anyio
 import httpx
@@ -102,10 +102,6 @@ class Socket:
         """Close the connection."""
         self._connection.close()
 
-
-# What connects to a session, again and again: it has a new ticket each time
-AsyncConnect: TypeAlias = Callable[[], Awaitable[AsyncSocket]]
-Connect: TypeAlias = Callable[[], Socket]
 
 AsyncLock = anyio.Lock
 Lock = threading.Lock

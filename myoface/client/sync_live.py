@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import Any
+from typing import Any, Protocol
 
 from myoface.client.jobs import by_origin
 from myoface.client.live_frames import (
@@ -23,7 +23,7 @@ from myoface.client.live_frames import (
     read_frame,
 )
 from myoface.client.retry import Backoff, ClientOptions
-from myoface.client.sockets import CLOSED, Connect, Lock, Socket, address_of, describe_proxy
+from myoface.client.sockets import CLOSED, Lock, Socket, address_of, describe_proxy
 from myoface.client.sync_captures import Captures
 from myoface.errors import UNREACHABLE, ApiError
 from myoface.resources import Artifact, FromJob, Rig
@@ -69,7 +69,7 @@ class LiveSessions(Captures):
             **by_origin(captures),
             options=options,
         )
-        face = self._face(opened.id, False, listen)
+        face = LiveFace(opened.id, _ServiceLine(self, opened.id), self._options, listen)
         try:
             face.open(self._open_socket(opened.url))
             yield face
@@ -82,7 +82,8 @@ class LiveSessions(Captures):
         self, session_id: str, *, watch: bool = True, listen: Listener = unheard
     ) -> Iterator[LiveFace]:
         """Connect to a session that somebody opened, to ``watch`` it or in its station's place."""
-        face = self._face(session_id, watch, listen)
+        line = _ServiceLine(self, session_id, watch)
+        face = LiveFace(session_id, line, self._options, listen)
         try:
             ticket = self.live_ticket(session_id, watch=watch)
             face.open(self._open_socket(ticket.url))
@@ -107,22 +108,43 @@ class LiveSessions(Captures):
         response = self._request("DELETE", f"/v1/live/{session_id}", through=True)
         return LiveSession.read(response.json())
 
-    def _face(self, session_id: str, watch: bool, listen: Listener) -> LiveFace:
-        def connect() -> Socket:
-            ticket = self.live_ticket(session_id, watch=watch)
-            return self._open_socket(ticket.url)
-
-        return LiveFace(session_id, connect, self._options, listen)
-
     def _open_socket(self, url: str) -> Socket:
         proxy = describe_proxy(self._proxy)
         return Socket.open(address_of(self._url, url), self._authority, proxy)
 
 
+class Line(Protocol):
+    """The way to a session: a face connects by it, again where a connection broke."""
+
+    def connect(self) -> Socket:
+        """Return a new connection; raises :class:`ApiError`."""
+
+    def error(self) -> dict[str, Any] | None:
+        """Return the error that the session has ended with, if it has."""
+
+
+class _ServiceLine:
+    """The way to a session of a service, by a new ticket each time."""
+
+    def __init__(self, client: LiveSessions, session_id: str, watch: bool = False) -> None:
+        self._client = client
+        self._id = session_id
+        self._watch = watch
+
+    def connect(self) -> Socket:
+        """Connect by a new ticket."""
+        ticket = self._client.live_ticket(self._id, watch=self._watch)
+        return self._client._open_socket(ticket.url)
+
+    def error(self) -> dict[str, Any] | None:
+        """Return the error of the session's job."""
+        return (self._client.live_session(self._id)).error
+
+
 class LiveFace:
     """The face of a live session: frames go to it, and faces come back.
 
-    A line that breaks is mended by ``connect``; frames meanwhile are lost. One task may send while
+    A line that breaks is mended by ``line``; frames meanwhile are lost. One task may send while
     another receives. ``ready`` is what the
     session said when it was: the ``layout`` of its frames, ``expects``, its ``sliders`` and
     ``muscles``. ``takes`` and ``faults`` are what it said of takes and of frames that it could not
@@ -130,14 +152,14 @@ class LiveFace:
     """
 
     def __init__(
-        self, session_id: str, connect: Connect, options: ClientOptions, listen: Listener = unheard
+        self, session_id: str, line: Line, options: ClientOptions, listen: Listener = unheard
     ) -> None:
         self.id = session_id
         self.ready: dict[str, Any] = {}
         self.takes: list[dict[str, Any]] = []
         self.faults: deque[dict[str, Any]] = deque(maxlen=MOST_FAULTS)
         self.preparing: dict[str, Any] = {}
-        self._connect = connect
+        self._line = line
         self._options = options
         self._listen = listen
         self._socket: Socket | None = None
@@ -245,9 +267,9 @@ class LiveFace:
             return read_frame(message, self.ready.get("layout") or ())
         words = json.loads(message)
         if words.get("type") == "ended":
-            session = self._client.live_session(self.id)
+            self._listen(words)
             detail = f"the session has ended: {words.get('reason')}"
-            raise ApiError(session.error or {"code": ENDED, "detail": detail})
+            raise ApiError(self._line.error() or {"code": ENDED, "detail": detail})
         self._note(words)
         return None
 
@@ -288,6 +310,6 @@ class LiveFace:
             backoff = Backoff(self._options)
             while self._socket is socket:
                 try:
-                    self._socket = self._connect()
+                    self._socket = self._line.connect()
                 except ApiError as again:
                     time.sleep(backoff.pause_if_transient(again))

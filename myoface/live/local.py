@@ -63,6 +63,17 @@ class ChannelSocket(AsyncSocket):
         self._channel.close()
 
 
+class _NoWayBack:
+    """The line of a session whose channel is its only connection."""
+
+    async def connect(self) -> AsyncSocket:
+        """Refuse: the session has ended."""
+        raise _closed()
+
+    async def error(self) -> None:
+        """Return nothing: what the job raises is raised here."""
+
+
 def _closed() -> ApiError:
     return ApiError({"code": CLOSED, "detail": "the session has ended", "close": OVER})
 
@@ -92,13 +103,10 @@ async def hold_session(
         finally:
             theirs.close()
 
-    async def connect() -> AsyncSocket:
-        raise _closed()
-
     worker = threading.Thread(target=work, name="live-session", daemon=True)
     worker.start()
     socket = ChannelSocket(ours)
-    face = AsyncLiveFace("here", connect, ClientOptions(), listen)
+    face = AsyncLiveFace("here", _NoWayBack(), ClientOptions(), listen)
     try:
         await face.open(socket)
         yield face

@@ -41,6 +41,7 @@ class StationOptions:
 
     last_s: float = 2.0  # for the face of the last frame
     take_s: float = 30.0  # for a take to be written
+    ahead: int = 4  # frames on their way, of a source that waits
     pause_s: float = 0.02  # between two looks at these
     most_sent: int = 4096  # frames whose faces are waited for
     latency_step_ms: float = 0.1  # latencies are told to this
@@ -101,6 +102,7 @@ class Station:
         self._waits = waits
         self._options = options
         self._sent: OrderedDict[int, float] = OrderedDict()  # number -> when, by our clock
+        self._followed = anyio.Event()
         self._is_recording = False
         self._stopping = anyio.Event()
 
@@ -118,7 +120,8 @@ class Station:
         kind = message.get("type")
         if kind == "take":
             self._is_recording = False
-            self.tally.takes.append(message)
+            if message.get("file"):  # one without frames has none
+                self.tally.takes.append(message)
         elif kind == "recording":
             self._is_recording = True
         elif kind == "fault":
@@ -212,6 +215,11 @@ class Station:
         self._sent[number] = began
         if len(self._sent) > self._options.most_sent:
             self._sent.popitem(last=False)
+        if self._waits:
+            with anyio.move_on_after(self._options.last_s):
+                while len(self._sent) >= self._options.ahead:
+                    self._followed = anyio.Event()
+                    await self._followed.wait()
 
     async def _finish(self, face: AsyncLiveFace) -> None:
         """Wait for the last face, and for the take to be written."""
@@ -225,6 +233,7 @@ class Station:
                 await anyio.sleep(options.pause_s)
 
     def _take(self, frame: LiveFrame) -> None:
+        self._followed.set()
         tally = self.tally
         at = self._sent.get(frame.number)
         latency = None if at is None else 1e3 * (time.monotonic() - at)

@@ -197,11 +197,14 @@ class _Loop:
         """End the take that is being recorded, if there is one."""
         if self._take is None:
             return
+        name = self._take.name
         take = self._take.finish()
         self._take = None
-        if take is not None:
-            told = {} if session is None else {"error_mm": _rounded(session.errors.told)}
-            self._left(take, told)
+        if take is None:
+            self._tell({"type": "take", "name": name, "file": None, "frames": 0, "seconds": 0.0})
+            return
+        told = {} if session is None else {"error_mm": _rounded(session.errors.told)}
+        self._left(take, told)
 
     def _left(self, take: LeftTake, more: Mapping[str, Any]) -> None:
         self._takes.append({**asdict(take), **more})

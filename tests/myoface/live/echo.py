@@ -71,12 +71,21 @@ class EchoSocket(AsyncSocket):
         self._out.send_nowait(json.dumps(said))
 
 
+class EchoLine:
+    """The way to an echo, which is always the same."""
+
+    def __init__(self, socket: EchoSocket) -> None:
+        self._socket = socket
+
+    async def connect(self) -> AsyncSocket:
+        return self._socket
+
+    async def error(self) -> None:
+        return None
+
+
 async def echo_face(socket: EchoSocket, listen: Listener) -> AsyncLiveFace:
     """Return the face of an echo, ready."""
-
-    async def connect() -> AsyncSocket:
-        return socket
-
-    face = AsyncLiveFace("echo", connect, ClientOptions(), listen)
+    face = AsyncLiveFace("echo", EchoLine(socket), ClientOptions(), listen)
     await face.open(socket)
     return face

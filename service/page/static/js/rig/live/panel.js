@@ -41,7 +41,7 @@ export class LivePanel {
   #what = h("div", { class: "stack" });
   #facts = new Map();
   #numbers;
-  #name = h("input", { type: "text", value: "take_1", maxlength: 64, "aria-label": "Name of the take", spellcheck: "false" });
+  #name = h("input", { type: "text", value: "1", maxlength: 64, "aria-label": "Name of the take", spellcheck: "false" });
   #button = h("button", { type: "button", class: "main", disabled: true, onclick: () => this.#record() }, "Record");
   #takes;
   #pulls = h("div");
@@ -163,11 +163,16 @@ export class LivePanel {
     else if (type === "recording") this.#setRecording(true, said.name);
     else if (type === "take") {
       this.#setRecording(false);
-      this.#takes.add(id, said);
-      this.#name.value = next(said.name);
-      announce(`${said.name} is recorded`);
+      if (!said.file) toast("No frame came while it recorded: there is no take.", "bad");
+      else this.#keep(id, said);
     } else if (type === "fault") toast(`${plain(said.message)}.`, "bad");
     else if (type === "ended") this.#end(said.reason);
+  }
+
+  #keep(id, take) {
+    this.#takes.add(id, take);
+    this.#name.value = next(take.name);
+    announce(`Take ${take.name} is recorded`);
   }
 
   async #begin(id, ready) {
@@ -275,7 +280,7 @@ function number(value, digits) {
   return Number.isFinite(value) ? value.toFixed(digits) : "–";
 }
 
-/** Return the name of the take after one: "take_2" after "take_1". */
+/** Return the name of the take after one: "walk_2" after "walk_1". */
 function next(name) {
   const found = /^(.*?)(\d+)$/.exec(name);
   return found ? `${found[1]}${Number(found[2]) + 1}` : `${name}_2`;
