@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from benchmarks.detail_views import draw_detail
 from benchmarks.documents import Figures
 from benchmarks.made_skin import carve, furrows, pits
 from solver.anatomy.embedding import barycentric
@@ -51,6 +52,7 @@ IDENTITIES = 12  # shapes that make the person, and their deviation
 SPREAD = 0.6
 EXPRESSION = {"browInnerUp": 1.0, "mouthSmileLeft": 0.7, "mouthSmileRight": 0.7}
 DEEP_MM = 0.1  # of relief whose depth is compared
+NAMES = ("neutral", "expression")  # of the scans
 AT_REST = 0.4  # share of the furrows' depth that the neutral has
 
 
@@ -147,10 +149,17 @@ class Registered:
         }
 
 
-def measure(scan: Path | None, template: Path | None) -> Figures:
-    """Return what registrations bake: of a made person, and of a ``scan`` where one is given."""
+def measure(scan: Path | None, template: Path | None, picture: Path | None) -> Figures:
+    """Return what registrations bake: of a made person, and of a ``scan`` where one is given.
+
+    ``picture`` is where the made scans and their skins are drawn side by side.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        found = measure_made(Path(folder))
+        out = Path(folder)
+        found = measure_made(out)
+        if picture is not None:
+            rows = [(name, out / f"{name}.ply", out / name) for name in NAMES]
+            draw_detail(picture, rows, builtin_template())
         if scan is not None:
             found |= {f"scan_{key}": value for key, value in _given(scan, template).items()}
     return found
@@ -170,10 +179,9 @@ def measure_made(folder: Path) -> Figures:
     """Return figures of a made person, neutral and with deeper furrows; files go to ``folder``."""
     template = builtin_template()
     person = Person.of(template)
-    names = ("neutral", "expression")
     skins = ((person.skin, AT_REST), (person.moved, 1.0))
-    scans = [folder / f"{name}.ply" for name in names]
-    outs = [folder / name for name in names]
+    scans = [folder / f"{name}.ply" for name in NAMES]
+    outs = [folder / name for name in NAMES]
     relief = []
     for path, (skin, share) in zip(scans, skins, strict=True):
         scan, heights = person.scan(skin, share)
