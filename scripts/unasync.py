@@ -25,7 +25,7 @@ WORDS = {
     r"(async|await)\s+": "",
     "anyio": "time",
     "aio_(access|captures|connection)": r"sync_\1",
-    "async_(check_archive|count_vertices|is_unpacked|sha256_of|unpack)": r"\1",
+    "async_(check_archive|count_vertices|is_unpacked|sha256_of|unpack|with_images)": r"\1",
     "asynccontextmanager": "contextmanager",
     r"Async(Access|Captures|Client|Connection|Iterator)": r"\1",
     r"__a(enter|exit)__": r"__\1__",

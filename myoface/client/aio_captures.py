@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import httpx
 
@@ -16,6 +17,7 @@ from myoface.client.files import (
     ignore_transfer,
     require_vertices,
 )
+from myoface.client.scan_packing import async_with_images
 from myoface.names import NamedScan, name_scans, same_file
 from myoface.resources import (
     Capture,
@@ -113,8 +115,9 @@ class AsyncCaptures(AsyncAccess):
 
         ``registered`` scans have the template's vertices, which are counted first; others are what
         the scanner made. ``landmarks`` is a file, of a photograph the JSON of what is known of it.
-        ``mask`` is a PNG that is white where a photograph counts. The service deletes the capture
-        ``replaces`` in the same step that adds this one.
+        An OBJ goes with its MTL files and images as a ZIP. ``mask`` is a PNG that is white where a
+        photograph counts. The service deletes the capture ``replaces`` in the same step that adds
+        this one.
         :mod:`myoface.names` says what name and role a file has; the title is what the file is
         called.
         """
@@ -123,7 +126,11 @@ class AsyncCaptures(AsyncAccess):
             await self._require_vertices([scan], subject_id)
         marks = None if landmarks is None else (await self.upload(landmarks)).id
         shown = None if mask is None else (await self.upload(mask)).id
-        sent = await self.upload(path, progress=progress)
+        with TemporaryDirectory() as folder:
+            file = path
+            if scan.role not in NO_SCANS and not registered:
+                file = await async_with_images(path, Path(folder))
+            sent = await self.upload(file, progress=progress)
         return await self._create(
             f"/v1/subjects/{subject_id}/captures",
             Capture,
@@ -188,17 +195,18 @@ class AsyncCaptures(AsyncAccess):
 
         A photograph that has no ``mask`` of this name yet is another capture.
 
-        ``replace`` puts the file in the place of another one's capture of this name; without it
-        the service refuses the name.
+        ``replace`` puts the file in the place of another one's capture of this name, or of its own
+        that was sent without its images; without it the service refuses the name.
         """
         (scan,) = name_scans([path], names=[name], roles=[role])
         is_registered = registered or scan.role in NO_SCANS
         known = {same_file(each.name): each for each in await self.captures(subject_id)}
         before = known.get(same_file(scan.name))
-        is_same = before is not None and (
-            (before.role, before.registered) == (scan.role, is_registered)
-            and before.sha256 == await async_sha256_of(path)
+        is_same = (
+            before is not None
+            and (before.role, before.registered) == (scan.role, is_registered)
             and (mask is None or before.mask == mask.name)
+            and before.sha256 in await self._digests(path, packed_only=replace)
         )
         if before is None or not is_same:
             return await self.add_capture(
@@ -219,6 +227,13 @@ class AsyncCaptures(AsyncAccess):
         if title is not None or labels is not None:
             before = await self.change_capture(subject_id, before.id, title=title, labels=labels)
         return before
+
+    async def _digests(self, path: Path, *, packed_only: bool) -> set[str]:
+        """Return the digests that a file has with its images and, if it may, without them."""
+        with TemporaryDirectory() as folder:
+            packed = await async_with_images(path, Path(folder))
+            files = {packed} if packed_only else {path, packed}
+            return {await async_sha256_of(each) for each in files}
 
     async def captures(
         self, subject_id: str, *, labels: LabelFilter | None = None

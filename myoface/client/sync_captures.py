@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import httpx
 
@@ -17,6 +18,7 @@ from myoface.client.files import (
     require_vertices,
     sha256_of,
 )
+from myoface.client.scan_packing import with_images
 from myoface.client.sync_access import Access
 from myoface.names import NamedScan, name_scans, same_file
 from myoface.resources import (
@@ -115,8 +117,9 @@ class Captures(Access):
 
         ``registered`` scans have the template's vertices, which are counted first; others are what
         the scanner made. ``landmarks`` is a file, of a photograph the JSON of what is known of it.
-        ``mask`` is a PNG that is white where a photograph counts. The service deletes the capture
-        ``replaces`` in the same step that adds this one.
+        An OBJ goes with its MTL files and images as a ZIP. ``mask`` is a PNG that is white where a
+        photograph counts. The service deletes the capture ``replaces`` in the same step that adds
+        this one.
         :mod:`myoface.names` says what name and role a file has; the title is what the file is
         called.
         """
@@ -125,7 +128,11 @@ class Captures(Access):
             self._require_vertices([scan], subject_id)
         marks = None if landmarks is None else (self.upload(landmarks)).id
         shown = None if mask is None else (self.upload(mask)).id
-        sent = self.upload(path, progress=progress)
+        with TemporaryDirectory() as folder:
+            file = path
+            if scan.role not in NO_SCANS and not registered:
+                file = with_images(path, Path(folder))
+            sent = self.upload(file, progress=progress)
         return self._create(
             f"/v1/subjects/{subject_id}/captures",
             Capture,
@@ -190,17 +197,18 @@ class Captures(Access):
 
         A photograph that has no ``mask`` of this name yet is another capture.
 
-        ``replace`` puts the file in the place of another one's capture of this name; without it
-        the service refuses the name.
+        ``replace`` puts the file in the place of another one's capture of this name, or of its own
+        that was sent without its images; without it the service refuses the name.
         """
         (scan,) = name_scans([path], names=[name], roles=[role])
         is_registered = registered or scan.role in NO_SCANS
         known = {same_file(each.name): each for each in self.captures(subject_id)}
         before = known.get(same_file(scan.name))
-        is_same = before is not None and (
-            (before.role, before.registered) == (scan.role, is_registered)
-            and before.sha256 == sha256_of(path)
+        is_same = (
+            before is not None
+            and (before.role, before.registered) == (scan.role, is_registered)
             and (mask is None or before.mask == mask.name)
+            and before.sha256 in self._digests(path, packed_only=replace)
         )
         if before is None or not is_same:
             return self.add_capture(
@@ -221,6 +229,13 @@ class Captures(Access):
         if title is not None or labels is not None:
             before = self.change_capture(subject_id, before.id, title=title, labels=labels)
         return before
+
+    def _digests(self, path: Path, *, packed_only: bool) -> set[str]:
+        """Return the digests that a file has with its images and, if it may, without them."""
+        with TemporaryDirectory() as folder:
+            packed = with_images(path, Path(folder))
+            files = {packed} if packed_only else {path, packed}
+            return {sha256_of(each) for each in files}
 
     def captures(self, subject_id: str, *, labels: LabelFilter | None = None) -> list[Capture]:
         """Return a subject's scans, newest first, those with all of ``labels`` if given.

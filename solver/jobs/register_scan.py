@@ -15,6 +15,7 @@ from solver.kinds.register_scan import RegisterScan
 from solver.meshio.colours import read_colours
 from solver.meshio.raw import RawScan, mend, read_raw
 from solver.meshio.registered import read_registered, write_registered
+from solver.meshio.scan_archive import opened_scan
 from solver.progress import Step
 from solver.registration.detail import DETAIL, bake_detail
 from solver.registration.detector import landmarker_file
@@ -35,7 +36,8 @@ NOISY_MM = 0.05  # of a scan's noise, that is told
 def run(task: Task[RegisterScan]) -> list[Path]:
     """Register a raw scan: a neutral, or an expression if the person's ``neutral`` is given.
 
-    ``landmarks`` are in the scan's own unit and axes. ``registered.ply`` has the template's
+    The scan may be a ZIP of a mesh with its images. ``landmarks`` are in its own unit and axes.
+    ``registered.ply`` has the template's
     vertices in mm with the property ``confidence``. Of a scan with colours there are
     ``texture.png`` and ``texture_confidence.png``, too; images that cannot be used are a finding.
     Of one that is finer than the template there are ``normals.png`` and ``displacement.png``, and
@@ -43,7 +45,11 @@ def run(task: Task[RegisterScan]) -> list[Path]:
     Raises :class:`solver.errors.InputError` for files that cannot be used and for a scan without a
     face (``scan.not_a_face``).
     """
-    scan = task.inputs["scan"]
+    with opened_scan(task.inputs["scan"]) as scan:
+        return _register(task, scan)
+
+
+def _register(task: Task[RegisterScan], scan: Path) -> list[Path]:
     progress = task.progress
     neutral = task.inputs.get("neutral")
     landmarks = task.inputs.get("landmarks")

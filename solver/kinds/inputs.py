@@ -57,7 +57,7 @@ RIG = "rig.npz, or a rig's folder or ZIP; to one of 0.1 copy its model.npz"
 INPUTS: Mapping[str, Input] = {
     "capture": Input(
         (
-            _given("scan", "OBJ, PLY, STL, GLB or point cloud"),
+            _given("scan", "OBJ, PLY, STL, GLB, a ZIP of one with its images, or point cloud"),
             _option("landmarks", "JSON, LJSON or CSV"),
         )
     ),
@@ -165,6 +165,7 @@ FILES: Mapping[str, LeftFile] = {
 # page; ``scripts/client_roles.py`` writes them down for the client, which is published alone.
 
 MESHES = (".obj", ".ply", ".stl", ".glb")
+ARCHIVES = (".zip",)  # of a mesh with its MTL files and images
 CLOUDS = (".xyz", ".pts", ".asc", ".csv", ".txt", ".xyzn", ".xyzrgb")
 PICTURES = (".jpg", ".jpeg", ".png")
 LANDMARKS = (".json", ".ljson", ".csv")
@@ -197,7 +198,7 @@ ROLES: Mapping[str, Role] = {
     "neutral": Role(
         title="Neutral",
         noun="the neutral capture",
-        formats=(*MESHES, *CLOUDS),
+        formats=(*MESHES, *ARCHIVES, *CLOUDS),
         registered=MESHES,
         landmarks=LANDMARKS,
         then="it is checked and registered, and the model is built from it",
@@ -205,7 +206,7 @@ ROLES: Mapping[str, Role] = {
     "expression": Role(
         title="Expression",
         noun="an expression",
-        formats=(*MESHES, *CLOUDS),
+        formats=(*MESHES, *ARCHIVES, *CLOUDS),
         registered=MESHES,
         landmarks=LANDMARKS,
         then="it is checked, registered and fitted",

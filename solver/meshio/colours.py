@@ -13,6 +13,7 @@ from solver.meshio.glb_colours import paint_of_glb
 from solver.meshio.mesh import read_content
 from solver.meshio.obj_colours import paint_of_obj
 from solver.meshio.paint import BARE, Paint
+from solver.meshio.ply_colours import paint_of_ply
 from solver.meshio.raw import MAX_BYTES, RawScan
 from solver.meshio.texture_images import Texels
 from solver.surface import Floats, Ints
@@ -73,7 +74,7 @@ def bilinear(image: Texels, places: Floats) -> Floats:
 def read_colours(path: Path, scan: RawScan) -> ScanColours | None:
     """Return the colours of a ``scan`` as it was read from ``path``, not mended; None: it has none.
 
-    Images are those that its file names, in it (GLB) or beside it (OBJ, by its MTL). Raises
+    Images are those that its file names, in it (GLB) or beside it (PLY, and OBJ by its MTL). Raises
     :class:`InputError`: ``texture.path``, ``texture.missing`` or ``texture.unreadable``.
     """
     if not len(scan.faces):
@@ -81,6 +82,8 @@ def read_colours(path: Path, scan: RawScan) -> ScanColours | None:
     paint = None
     if scan.format == "obj":
         paint = paint_of_obj(path, read_content(path, MAX_BYTES, "a raw scan"))
+    elif scan.format == "ply":
+        paint = paint_of_ply(path, read_content(path, MAX_BYTES, "a raw scan"))
     elif scan.format == "glb":
         paint = paint_of_glb(path, read_content(path, MAX_BYTES, "a raw scan"))
     if paint is None and scan.colours is not None:

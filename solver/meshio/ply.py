@@ -47,8 +47,9 @@ INDEX_NAMES = ("vertex_indices", "vertex_index")
 MAX_HEADER_LINES = 1000  # so that a binary file without end_header is not searched to its end
 
 Columns = dict[str, Floats]
-Polygons = tuple[Ints, Ints]  # all corners one after the other, and how many each polygon has
-Rows = tuple[Columns, dict[str, Polygons]]
+# all items one after the other, whole numbers where the header says so, and how many each row has
+Lists = tuple[np.ndarray, Ints]
+Rows = tuple[Columns, dict[str, Lists]]
 
 
 @dataclass
@@ -60,6 +61,10 @@ class Element:
     # names and types; of a list the type of its length, the least it takes in a row
     properties: list[tuple[str, str]] = field(default_factory=list)
     items: dict[str, str] = field(default_factory=dict)  # list -> type of its items
+
+    def item_type(self, name: str) -> type:
+        """Return the type that the items of a list are read to."""
+        return np.float64 if self.items[name].startswith("f") else np.int64
 
     def row_type(self, order: str, lengths: Mapping[str, int] | None = None) -> np.dtype:
         """Return the type of a binary row whose lists have these ``lengths``, none by default."""
@@ -86,16 +91,12 @@ def read_ply(file: str, content: bytes, *, strict: bool = False) -> Mesh:
     Raises :class:`InputError`: ``scan.empty``, ``scan.unreadable``, ``scan.truncated``,
     ``scan.format`` or ``scan.nan``, with the ``line`` of the fault in text; ``file`` names it.
     """
-    form, elements, start = read_header(file, content)
+    elements, body = _open_body(file, content, strict)
     if strict and (not elements or elements[0].name != "vertex" or elements[0].items):
         reason = "the first element must be 'vertex', without list properties"
         raise unsupported_error(file, reason)
-    source = file, content, elements, start
-    body: _AsciiBody | _BinaryBody = (
-        _AsciiBody(*source, strict) if form == "ascii" else _BinaryBody(*source, BYTE_ORDERS[form])
-    )
     vertex: Columns = {}
-    polygons: Polygons = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+    polygons: Lists = (np.zeros(0, np.int64), np.zeros(0, np.int64))
     for element in elements[:1] if strict else elements:
         if element.name == "tristrips":
             raise unsupported_error(file, "triangle strips are not supported: export triangles")
@@ -103,10 +104,7 @@ def read_ply(file: str, content: bytes, *, strict: bool = False) -> Mesh:
         if element.name == "vertex":
             vertex = scalars
         elif element.name == "face" and element.count:
-            index = next((name for name in INDEX_NAMES if name in lists), None)
-            if index is None:
-                raise unreadable_error(file, "the faces have no vertex_indices")
-            polygons = lists[index]
+            polygons = corner_lists(file, lists)
     vertices, normals, colours = (_columns(vertex, names) for names in (PLACE, NORMAL, COLOUR))
     if vertices is None:
         raise unreadable_error(file, "the vertices have no x, y and z")
@@ -119,6 +117,31 @@ def read_ply(file: str, content: bytes, *, strict: bool = False) -> Mesh:
     colours = None if colours is None else unit_colours(colours)
     faces = _triangles(file, polygons, len(vertices))
     return Mesh(vertices, faces, normals, colours, confidence)
+
+
+def read_rows(file: str, content: bytes) -> dict[str, Rows]:
+    """Return all that a PLY holds, by its elements; raises as :func:`read_ply`."""
+    elements, body = _open_body(file, content)
+    return {element.name: body.read(element) for element in elements}
+
+
+def corner_lists(file: str, lists: Mapping[str, Lists]) -> Lists:
+    """Return the corners of faces; raises :class:`InputError` if they have none."""
+    index = next((name for name in INDEX_NAMES if name in lists), None)
+    if index is None:
+        raise unreadable_error(file, "the faces have no vertex_indices")
+    return lists[index]
+
+
+def _open_body(
+    file: str, content: bytes, strict: bool = False
+) -> tuple[list[Element], _AsciiBody | _BinaryBody]:
+    """Return the elements of a file, and what reads their rows one after the other."""
+    form, elements, start = read_header(file, content)
+    source = file, content, elements, start
+    if form == "ascii":
+        return elements, _AsciiBody(*source, strict)
+    return elements, _BinaryBody(*source, BYTE_ORDERS[form])
 
 
 def read_header(file: str, content: bytes) -> tuple[str, list[Element], int]:
@@ -190,20 +213,28 @@ class _BinaryBody:
         row = element.row_type(self._order, lengths)
         end = self._position + row.itemsize * element.count
         if end > len(self._content):
-            return {}, self._read_lists(element)
+            return self._read_uneven(element)
         rows = np.frombuffer(self._content, row, count=element.count, offset=self._position)
         if any((rows[_length(name)] != count).any() for name, count in lengths.items()):
-            return {}, self._read_lists(element)
+            return self._read_uneven(element)
         self._position = end
         scalars = [name for name, _ in element.properties if name not in element.items]
         return {name: rows[name].astype(np.float64) for name in scalars}, {
-            name: (rows[name].astype(np.int64).ravel(), np.full(len(rows), count, np.int64))
+            name: (
+                rows[name].astype(element.item_type(name)).ravel(),
+                np.full(len(rows), count, np.int64),
+            )
             for name, count in lengths.items()
         }
 
-    def _read_lists(self, element: Element) -> dict[str, Polygons]:
-        """Return the lists of rows that differ in length."""
-        lists: dict[str, tuple[list[Ints], list[int]]] = {name: ([], []) for name in element.items}
+    def _read_uneven(self, element: Element) -> Rows:
+        """Return the columns and lists of rows that differ in length."""
+        lists: dict[str, tuple[list[np.ndarray], list[int]]] = {
+            name: ([], []) for name in element.items
+        }
+        columns: dict[str, list[float]] = {
+            name: [] for name, _ in element.properties if name not in element.items
+        }
         for number in range(element.count):
             lengths = self._list_lengths(element)
             row = element.row_type(self._order, lengths)
@@ -215,9 +246,11 @@ class _BinaryBody:
             values = np.frombuffer(self._content, row, count=1, offset=self._position)[0]
             self._position += row.itemsize
             for name, count in lengths.items():
-                lists[name][0].append(values[name].astype(np.int64))
+                lists[name][0].append(values[name].astype(element.item_type(name)))
                 lists[name][1].append(count)
-        return {
+            for name, column in columns.items():
+                column.append(float(values[name]))
+        return {name: np.array(column) for name, column in columns.items()}, {
             name: (np.concatenate(items), np.array(counts, np.int64))
             for name, (items, counts) in lists.items()
         }
@@ -268,7 +301,7 @@ class _AsciiBody:
         return self._content.count(b"\n", 0, self._start) + 1 + row
 
     def read(self, element: Element) -> Rows:
-        """Return the columns of an element, or of one with lists the first list."""
+        """Return the columns and lists of an element."""
         start = self._position
         self._position = self._position + element.count
         rows = self._rows[start : self._position]
@@ -280,27 +313,37 @@ class _AsciiBody:
             raise self._fault(element, rows, start)
         values, counts = parsed
         if element.items:
-            return {}, self._read_list(element, values, counts, start)
+            return self._read_uneven(element, values, counts, start)
         table = values.reshape(-1, width)
         return {name: table[:, k] for k, (name, _) in enumerate(element.properties)}, {}
 
-    def _read_list(
-        self, element: Element, values: Floats, counts: Ints, start: int
-    ) -> dict[str, Polygons]:
-        name = next(iter(element.items))
-        before = [other for other, _ in element.properties].index(name)
-        starts = np.cumsum(counts) - counts + before
-        at = np.minimum(starts, len(values) - 1)
-        lengths = np.where(counts > before, values[at].astype(np.int64), -1)
-        short = (lengths < 0) | (before + 1 + lengths > counts)
-        if short.any():
-            row = start + int(np.argmax(short))
-            if row == len(self._rows) - 1 and not self._content.endswith(b"\n"):
-                raise truncated_error(self._file, "the last line is not whole", line=self.line(row))
-            reason = "a list is shorter than it says"
-            raise unreadable_error(self._file, reason, line=self.line(row))
-        items = np.repeat(starts + 1, lengths) + count_up(lengths)
-        return {name: (values[items].astype(np.int64), lengths)}
+    def _read_uneven(self, element: Element, values: Floats, counts: Ints, start: int) -> Rows:
+        """Return the columns and lists of rows of ``counts`` (n,) ``values``."""
+        columns: Columns = {}
+        lists: dict[str, Lists] = {}
+        places = np.cumsum(counts) - counts
+        ends = places + counts
+        for name, _ in element.properties:
+            at = np.minimum(places, len(values) - 1)
+            if name not in element.items:
+                # what stands behind the lists is nobody's who reads corners alone
+                columns[name] = np.where(places < ends, values[at], np.nan)
+                places = places + 1
+                continue
+            lengths = np.where(places < ends, values[at].astype(np.int64), -1)
+            short = (lengths < 0) | (places + 1 + lengths > ends)
+            if short.any():
+                raise self._short_list(start + int(np.argmax(short)))
+            items = np.repeat(places + 1, lengths) + count_up(lengths)
+            lists[name] = values[items].astype(element.item_type(name)), lengths
+            places = places + 1 + lengths
+        return columns, lists
+
+    def _short_list(self, row: int) -> InputError:
+        line = self.line(row)
+        if row == len(self._rows) - 1 and not self._content.endswith(b"\n"):
+            return truncated_error(self._file, "the last line is not whole", line=line)
+        return unreadable_error(self._file, "a list is shorter than it says", line=line)
 
     def _fault(self, element: Element, rows: list[bytes], start: int) -> InputError:
         """Return the fault of the first row that is not as announced."""
@@ -319,7 +362,7 @@ class _AsciiBody:
         return unreadable_error(self._file, reason, line=self.line(start + row), **where)
 
 
-def _triangles(file: str, polygons: Polygons, vertices: int) -> Ints:
+def _triangles(file: str, polygons: Lists, vertices: int) -> Ints:
     corners, counts = polygons
     outside = (corners < 0) | (corners >= vertices)
     if outside.any():

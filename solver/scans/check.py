@@ -21,6 +21,7 @@ from solver.drawing.render import Camera, Pixels, look
 from solver.drawing.sheet import HEADER, PAPER, Sheet
 from solver.errors import Finding, InputError
 from solver.meshio.raw import RawScan, mend, read_raw
+from solver.meshio.scan_archive import opened_scan
 from solver.model import SIZE_WORDS
 from solver.registration.locate import (
     Location,
@@ -170,7 +171,8 @@ def _check(
     landmarks: Path | None,
 ) -> None:
     """Fill ``result``; raises :class:`InputError` for a scan that cannot be looked at."""
-    raw = read_raw(path)
+    with opened_scan(path) as file:
+        raw = read_raw(file)
     scan, mending = mend(raw)
     result.findings += file_findings(raw, mending)
     result.figures |= {"vertices": len(raw.vertices), "triangles": len(raw.faces)}

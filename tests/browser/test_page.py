@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from myoface.client.scan_packing import with_images
 from tests.service_client import Studio, eventually
 
 pytestmark = pytest.mark.slow
@@ -45,9 +46,13 @@ def test_a_dropped_scan_set_is_uploaded_and_judged(
     folder.mkdir()
     neutral = _scan(folder / "Ada_neutral.obj")
     smile = _scan(folder / "Ada_smile.obj", size=9 * MB)
-    _scan(folder / "Ada_kiss.obj", verdict="bad")
+    kiss = _scan(folder / "Ada_kiss.obj", verdict="bad")
     (folder / "Ada_smile-landmarks.csv").write_text("sellion,0,0,0\n")
     (folder / "Ada_smile.mtl").write_text("newmtl skin\n")
+    with kiss.open("a") as stream:
+        stream.write("mtllib ./kiss.mtl\n")
+    (folder / "kiss.mtl").write_text("newmtl skin\nmap_Kd -clamp on a kiss.png\n")
+    (folder / "a kiss.png").write_bytes(b"an image")
     page = show("/queue")
 
     _drop(page, [folder], on="h1")
@@ -65,9 +70,10 @@ def test_a_dropped_scan_set_is_uploaded_and_judged(
 
     for file, verdict in (("neutral", "Good"), ("smile", "Good"), ("kiss", "Bad: scan again")):
         _row(page, f"Ada_{file}.obj").locator(".state").get_by_text(verdict).wait_for()
-    kiss = _row(page, "Ada_kiss.obj")
-    assert kiss.get_by_text("Turn the head towards the lower camera").is_visible()
-    picture = kiss.locator("img")
+    judged = _row(page, "Ada_kiss.obj")
+    assert "with kiss.mtl, a kiss.png" in judged.inner_text()
+    assert judged.get_by_text("Turn the head towards the lower camera").is_visible()
+    picture = judged.locator("img")
     eventually(lambda: picture.evaluate("image => image.naturalWidth") == 480)
 
     subject = studio.get("/v1/subjects")["items"][0]
@@ -79,6 +85,10 @@ def test_a_dropped_scan_set_is_uploaded_and_judged(
     assert found["smile"]["landmarks"] == "Ada_smile-landmarks.csv"
     for name, path in (("neutral", neutral), ("smile", smile)):
         assert found[name]["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    # as the client packs it, byte for byte
+    packed = with_images(kiss, tmp_path)
+    assert found["kiss"]["filename"] == packed.name == "Ada_kiss.zip"
+    assert found["kiss"]["sha256"] == hashlib.sha256(packed.read_bytes()).hexdigest()
 
 
 def test_a_session_is_added_in_one_call_and_becomes_a_rig(

@@ -19,6 +19,7 @@ from myoface.cli.commands import Command, Option
 from myoface.cli.offline import solve
 from service.queue.wakeups import QUEUES
 from solver.kinds import KINDS, ROLES, SCANS, OptionsError
+from solver.kinds.inputs import ARCHIVES
 from solver.kinds.kind import FrameOptions, UnitName
 from solver.kinds.marker_set import MarkerSetDocument
 from solver.kinds.photo import PhotoDocument
@@ -167,7 +168,7 @@ def test_frames_of_markers_are_counted_from_anywhere(kind: str) -> None:
 def test_scans_may_be_what_the_solver_reads() -> None:
     for name in SCANS:
         assert ROLES[name].registered == registered.REGISTERED_FORMATS
-        assert tuple(raw.FORMATS) == ROLES[name].formats
+        assert {*raw.FORMATS, *ARCHIVES} == set(ROLES[name].formats)
     assert ROLES["performance"].formats == performance.FORMATS
     assert set(registered.REGISTERED_FORMATS) < set(ROLES["asset"].formats)
 

@@ -23,7 +23,7 @@ SECONDS, LEAST_REPORTS = (0.5, 12) if SHOW else (0.0, 1)
 
 def orders_of(scan: Path) -> dict[str, str]:
     """Return a scan's orders."""
-    lines = scan.read_text().splitlines()
+    lines = scan.read_text(errors="replace").splitlines()  # a ZIP, say
     return dict(line[3:].split(maxsplit=1) for line in lines if line.startswith("#! "))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from myoface.client.scan_packing import with_images
 from solver.jobs import run_job
 from solver.registration.skin_images import MADE_FOR
 from solver.registration.topology import topology
@@ -39,7 +40,9 @@ def coloured_scan(folder: Path) -> Path:
 def test_a_registration_leaves_the_colours_or_says_what_is_missing(tmp_path: Path) -> None:
     scan = coloured_scan(tmp_path)
     out = tmp_path / "out"
-    files = run_job("register_scan", out, options={"texture_size": 1024}, scan=scan)
+    # as the client sends it
+    packed = with_images(scan, tmp_path)
+    files = run_job("register_scan", out, options={"texture_size": 1024}, scan=packed)
     assert {"texture.png", "texture_confidence.png"} <= {file.name for file in files}
     told = json.loads((out / "registration.json").read_text())
     assert told["texture"]["coverage"] > 0.9

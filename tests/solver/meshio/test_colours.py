@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import zlib
 from pathlib import Path
 
@@ -215,3 +216,55 @@ def test_a_glb_s_image_that_is_none_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="image 0") as caught:
         colours(glb(tmp_path / "a.glb", b"no image"))
     assert caught.value.code == "texture.unreadable"
+
+
+def ply(path: Path, *, binary: bool, of_corners: bool, uneven: bool = False) -> Path:
+    """Write a triangle in the upper left quarter of an image, and one in the lower right."""
+    square = [(0, 0), (1, 0), (0, 1), (1, 1)]
+    faces = [(0, 1, 2), (1, 3, 2), (0, 1, 3, 2)][: 3 if uneven else 2]
+    middles = [(0.25, 0.75), (0.75, 0.25), (0.75, 0.25)]
+    order = "binary_little_endian" if binary else "ascii"
+    header = ["ply", f"format {order} 1.0", "comment TextureFile a b.png", "element vertex 4"]
+    header += [f"property float {name}" for name in ("x", "y", "z", "s", "t")]
+    header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    header += ["property list uchar float texcoord"] if of_corners else []
+    header += ["property int texnumber", "end_header", ""]
+    body = b""
+    for x, y in square:
+        row = (x, y, 0, 0.25, 0.75)
+        body += struct.pack("<5f", *row) if binary else f"{' '.join(map(str, row))}\n".encode()
+    for corners, middle in zip(faces, middles, strict=False):
+        count = len(corners)
+        places = middle * count
+        row = [count, *corners, *([2 * count, *places] if of_corners else []), 0]
+        packing = f"<B{count}i" + (f"B{2 * count}f" if of_corners else "") + "i"
+        body += struct.pack(packing, *row) if binary else f"{' '.join(map(str, row))}\n".encode()
+    path.write_bytes("\n".join(header).encode() + body)
+    path.with_name("a b.png").write_bytes(png(PICTURE))
+    return path
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_a_ply_has_the_images_that_its_comments_name(tmp_path: Path, binary: bool) -> None:
+    path = tmp_path / "face.ply"
+    for uneven in (False, True):
+        found = colours(ply(path, binary=binary, of_corners=True, uneven=uneven))
+        assert found is not None
+        colour, known = found.at(np.arange(2), np.repeat(MIDDLE, 2, axis=0))
+        assert known.all()
+        np.testing.assert_allclose(colour, [[1, 0, 0], [1, 1, 1]])
+    assert middle(ply(path, binary=binary, of_corners=False)) == pytest.approx([1, 0, 0])
+
+
+def test_a_ply_whose_coordinates_are_not_its_corners_is_told(tmp_path: Path) -> None:
+    path = ply(tmp_path / "face.ply", binary=False, of_corners=True)
+    text = path.read_text()
+    path.write_text(text.replace("6 0.25 0.75 ", "4 "))
+    with pytest.raises(InputError, match="other corners") as caught:
+        colours(path)
+    assert caught.value.code == "texture.unreadable"
+    path.with_name("a b.png").unlink()
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"a comment of face\.ply") as caught:
+        colours(path)
+    assert caught.value.code == "texture.missing"

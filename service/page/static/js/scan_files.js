@@ -18,6 +18,19 @@ export function isMarkerSet({ role, filename }) {
 /** What the API takes as a name. */
 export const NAME = "[A-Za-z0-9][A-Za-z0-9_.\\-]{0,63}";
 
+const folders = new WeakMap(); // of dropped files
+
+/** Return which of `files` lie in the folder of a scan. */
+export function beside(scan, files) {
+  const folder = folderOf(scan);
+  return files.filter((file) => file !== scan && folderOf(file) === folder);
+}
+
+function folderOf(file) {
+  const path = file.webkitRelativePath ?? "";
+  return folders.get(file) ?? path.slice(0, path.length - file.name.length);
+}
+
 /** Return the files of a drop, those in folders too. */
 export async function dropped(transfer) {
   // entries must be taken before the first wait: the list is empty afterwards
@@ -27,7 +40,11 @@ export async function dropped(transfer) {
 }
 
 async function filesIn(entry) {
-  if (entry.isFile) return [await new Promise((resolve, reject) => entry.file(resolve, reject))];
+  if (entry.isFile) {
+    const file = await new Promise((resolve, reject) => entry.file(resolve, reject));
+    folders.set(file, entry.fullPath.slice(0, -entry.name.length));
+    return [file];
+  }
   const reader = entry.createReader();
   const found = [];
   for (;;) {

@@ -13,6 +13,7 @@ const DAY_AND_TIME = new Intl.DateTimeFormat(undefined, {
   minute: "2-digit",
   hourCycle: "h23",
 });
+const MOST_NAMED = 4;
 const UNITS = ["B", "kB", "MB", "GB", "TB"];
 
 /** The time of day. */
@@ -62,6 +63,12 @@ export function short(id) {
 /** "1 scan", "3 scans". */
 export function count(number, one, many = `${one}s`) {
   return `${number} ${number === 1 ? one : many}`;
+}
+
+/** The first of some names, and how many more there are. */
+export function some(names) {
+  const rest = names.length - MOST_NAMED;
+  return names.slice(0, MOST_NAMED).join(", ") + (rest > 0 ? ` and ${rest} more` : "");
 }
 
 /** A key such as `fit_geometry` as words: "Fit geometry". */

@@ -5,8 +5,9 @@ import { announce, h, setText, show } from "../dom.js";
 import * as interrupted from "../interrupted.js";
 import { inLine } from "../jobs.js";
 import { NAME } from "../scan_files.js";
+import { packed } from "../scan_zip.js";
 import { forget, upload } from "../tus.js";
-import { bytes } from "../words.js";
+import { bytes, some } from "../words.js";
 import { ask } from "./dialog.js";
 import { picture } from "./files.js";
 import { findingList, judgedLines, toMend } from "./findings.js";
@@ -19,14 +20,19 @@ import { sentence } from "./trouble.js";
  * service's limits.
  */
 export class ScanRow {
-  constructor({ file, name, role, landmarks }, roles, { dropped, again }) {
+  constructor({ file, name, role, landmarks, images }, roles, { dropped, again }) {
     this.roles = new Map(roles.map((each) => [each.role, each]));
     this.again = again;
     this.file = file;
     this.landmarks = landmarks;
+    this.images = images;
     this.dropped = dropped;
     this.stage = "ready";
     this.replaces = null; // the earlier scan that goes when this one is there
+    const beside = [
+      landmarks && `landmarks ${landmarks.name}`,
+      images.length && `with ${some(images.map((image) => image.name))}`,
+    ].filter(Boolean);
     this.name = h("input", {
       type: "text",
       value: name,
@@ -53,7 +59,7 @@ export class ScanRow {
         "th",
         { scope: "row" },
         h("div", {}, file.name),
-        h("div", { class: "fine" }, bytes(file.size), landmarks && `, landmarks ${landmarks.name}`),
+        h("div", { class: "fine" }, bytes(file.size), beside.map((words) => `, ${words}`)),
       ),
       h("td", {}, this.name),
       h("td", {}, this.role),
@@ -107,7 +113,8 @@ export class ScanRow {
     this.badge.set("running", "Uploading");
     this.offer(["Stop", () => this.stop()]);
     try {
-      this.uploadId = await this.sendOne(this.file);
+      this.sent = this.order.registered ? this.file : await packed(this.file, this.images);
+      this.uploadId = await this.sendOne(this.sent);
       if (this.landmarks) this.landmarksId = await this.sendOne(this.landmarks);
       this.stage = "sent";
       this.badge.set("queued", "Uploaded");
@@ -156,7 +163,7 @@ export class ScanRow {
 
   /** Be a scan of the subject: `check` is the job that judges it, null for what is no scan. */
   take({ check }) {
-    for (const file of [this.file, this.landmarks].filter(Boolean)) interrupted.forget(file);
+    for (const file of [this.sent, this.landmarks].filter(Boolean)) interrupted.forget(file);
     if (check) {
       this.stage = "checking";
       this.jobId = check.job_id;
@@ -257,9 +264,10 @@ export class ScanRow {
   /** Leave the file out; what has arrived of it is given up. */
   stop() {
     this.ending?.abort();
-    const earlier = interrupted.find(this.file);
+    const sent = this.sent ?? this.file;
+    const earlier = interrupted.find(sent);
     if (earlier) forget(earlier.uploadId).catch(() => {}); // it expires by itself
-    interrupted.forget(this.file);
+    interrupted.forget(sent);
     this.dropped(this);
   }
 }

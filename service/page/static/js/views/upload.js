@@ -13,12 +13,12 @@ import { ScanRow } from "../parts/scan_row.js";
 import { Session } from "../parts/session.js";
 import { toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
-import { countVertices, dropped, sorted } from "../scan_files.js";
+import { beside, countVertices, dropped, sorted } from "../scan_files.js";
+import { imagesOf } from "../scan_zip.js";
 import { CAN_CHECK } from "../tus.js";
-import { count } from "../words.js";
+import { count, some } from "../words.js";
 
 const EVERY_MS = 1_000;
-const MOST_NAMED = 4;
 const ACTIVE = ["waiting", "sending", "sent", "checking"];
 const ALL_STEPS = ["register", "model", "geometry"];
 
@@ -212,8 +212,11 @@ class Tray {
     );
   }
 
-  take(files) {
-    const { scans, others } = sorted(files, this.limits);
+  async take(files) {
+    const { scans, others: rest } = sorted(files, this.limits);
+    for (const scan of scans) scan.images = await imagesOf(scan.file, beside(scan.file, rest));
+    const images = new Set(scans.flatMap((scan) => scan.images));
+    const others = rest.filter((file) => !images.has(file));
     for (const scan of scans)
       this.rows.push(
         new ScanRow(scan, this.limits.roles, { dropped: (row) => this.drop(row), again: (row) => this.again(row) }),
@@ -372,9 +375,4 @@ function otherFiles(roles) {
 function repeated(names) {
   const alike = names.map((name) => name.toLowerCase()); // one morph target to many programs
   return names.find((_, i) => alike.indexOf(alike[i]) !== i);
-}
-
-function some(names) {
-  const rest = names.length - MOST_NAMED;
-  return names.slice(0, MOST_NAMED).join(", ") + (rest > 0 ? ` and ${rest} more` : "");
 }

@@ -1,0 +1,144 @@
+"""Bring a studio's rig (studio.glb) into Blender, play a recording on it, and write FBX.
+
+With Blender: blender --background --python docs/examples/blender_studio.py -- studio.glb rig.blend
+With its Python module (scripts/blender-venv makes one):
+    .venv-blender/bin/python docs/examples/blender_studio.py studio.glb rig.blend \
+        --recording take.csv --rate 60 --fbx rig.fbx
+
+The object ``skin`` has the shapes; eyes, teeth, mouth and lashes follow its values by drivers, and
+so do the shapes ``..._half``. Where ``studio.json``, beside the GLB, has turns for a shape, joints
+are keyed by the recording's weights, too. A recording is a CSV file of Live Link Face.
+"""
+
+import argparse
+import csv
+import json
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Quaternion, Vector
+
+SKIN = "skin"
+HALF = "_half"
+TO_BLENDER = Matrix(((1, 0, 0, 0), (0, 0, -1, 0), (0, 1, 0, 0), (0, 0, 0, 1)))
+"""Blender's axes by glTF's: y up becomes z up, the face looks along -y."""
+
+
+def main() -> None:
+    """Read the command line, make the scene and write it."""
+    own = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("glb", type=Path, help="studio.glb, with studio.json beside it")
+    parser.add_argument("blend", help="the scene to write")
+    parser.add_argument("--recording", type=Path, help="CSV file of Live Link Face")
+    parser.add_argument("--rate", type=float, default=60.0, help="frames per second of it")
+    parser.add_argument("--fbx", help="the FBX file to write")
+    given = parser.parse_args(own)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    bpy.ops.import_scene.gltf(filepath=str(given.glb))
+    objects = bpy.data.objects
+    keys = {
+        each.name: each.data.shape_keys
+        for each in objects
+        if each.type == "MESH" and each.data.shape_keys
+    }
+    follow(keys)
+    if given.recording is not None:
+        weights = read_recording(given.recording)
+        scene.render.fps = round(given.rate)
+        scene.render.fps_base = round(given.rate) / given.rate
+        scene.frame_start = 0
+        scene.frame_end = max(map(len, weights.values()), default=1) - 1
+        play(keys[SKIN], weights)
+        known = json.loads(given.glb.with_name("studio.json").read_text(encoding="utf-8"))
+        armature = next(each for each in objects if each.type == "ARMATURE")
+        turn(armature, known, weights, scene.frame_end + 1)
+    bpy.ops.wm.save_as_mainfile(filepath=str(given.blend))
+    if given.fbx is not None:
+        bpy.ops.export_scene.fbx(
+            filepath=given.fbx,
+            object_types={"ARMATURE", "MESH"},
+            add_leaf_bones=False,
+            bake_anim_use_nla_strips=False,  # with these, shapes' values are left out
+            bake_anim_use_all_actions=False,
+            bake_anim_simplify_factor=0.0,
+            path_mode="COPY",
+            embed_textures=True,
+        )
+
+
+def follow(keys: dict) -> None:
+    """Have the shapes of other parts follow the skin's, and those half way into a shape lead it."""
+    skin = keys[SKIN]
+    for name, blocks in keys.items():
+        for block in blocks.key_blocks[1:]:
+            is_half = block.name.endswith(HALF)
+            if name == SKIN and not is_half:
+                continue
+            driver = block.driver_add("value").driver
+            variable = driver.variables.new()
+            variable.name = "w"
+            target = variable.targets[0]
+            target.id_type = "KEY"
+            target.id = skin
+            target.data_path = f'key_blocks["{block.name.removesuffix(HALF)}"].value'
+            driver.type = "SCRIPTED"
+            driver.expression = "4 * w * (1 - w)" if is_half else "w"
+
+
+def read_recording(path: Path) -> dict[str, np.ndarray]:
+    """Return the weights of each frame by the shapes' names, whose first letter is small."""
+    with path.open(newline="", encoding="utf-8-sig") as stream:
+        rows = list(csv.DictReader(stream))
+    names = [name for name in (rows[0] if rows else {}) if name[:1].isupper()]
+    found = {}
+    for name in names:
+        try:
+            values = np.array([float(row[name]) for row in rows])
+        except (TypeError, ValueError):
+            continue  # a timecode
+        found[name[0].lower() + name[1:]] = values
+    return found
+
+
+def play(skin: bpy.types.Key, weights: dict[str, np.ndarray]) -> None:
+    """Key the skin's shapes by weights, a frame each."""
+    for block in skin.key_blocks[1:]:
+        block.slider_min, block.slider_max = -1.0, 2.0  # Blender cuts what is beyond
+        for frame, value in enumerate(weights.get(block.name, ())):
+            block.value = value
+            block.keyframe_insert("value", frame=frame)
+
+
+def turn(armature: bpy.types.Object, known: dict, weights: dict, frames: int) -> None:
+    """Key the joints that shapes turn: rotation vectors and shifts add up by the weights."""
+    for joint, place in known["joints"].items():
+        twists = np.zeros((frames, 6))
+        for shape, told in known["shapes"].items():
+            moved = told.get("joints", {}).get(joint)
+            if moved and shape in weights:
+                twist = [*np.radians(moved["turn_deg"]), *moved["move_mm"]]
+                twists += np.outer(weights[shape], twist)
+        if twists.any():
+            bone = armature.pose.bones[joint]
+            for frame, twist in enumerate(twists):
+                bone.matrix = placed(place, twist) @ bone.bone.matrix_local
+                bone.keyframe_insert("location", frame=frame)
+                bone.keyframe_insert("rotation_quaternion", frame=frame)
+
+
+def placed(place: list, twist: np.ndarray) -> Matrix:
+    """Return the motion of a turn about a place and a shift, in Blender's axes and metres."""
+    about = Vector(place)
+    axis = Vector(twist[:3])
+    turned = Quaternion(axis.normalized(), axis.length) if axis.length else Quaternion()
+    shift = about + Vector(twist[3:]) - turned @ about
+    motion = Matrix.LocRotScale(shift / 1000.0, turned, None)
+    return TO_BLENDER @ motion @ TO_BLENDER.inverted()
+
+
+if __name__ == "__main__":
+    main()
