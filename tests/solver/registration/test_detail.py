@@ -193,7 +193,7 @@ def test_wrinkles_are_what_an_expression_adds(
     assert found.mask[np.abs(off) < 1.0].mean() > 0.5
     chin = furrowed.texels.within(template.regions["chin"])
     assert found.mask[chin].mean() < 0.05
-    assert found.figures["regions"]["forehead"] > 0.05
+    assert found.figures["regions"]["forehead"] > 0.03
     # and against itself nothing is added
     none = wrinkles(furrowed, furrowed.normals, known)
     assert none.mask.max() < 0.01
