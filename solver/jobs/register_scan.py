@@ -146,7 +146,7 @@ def _bake_detail(
         coordinates = texture_coordinates(known.template)
         detail = bake_detail(scan, registered.skin, known, coordinates, options)
     if detail is None:
-        message = "The scan is hardly finer than the template's mesh: there is no normal map of it."
+        message = "There is no normal map: the scan is hardly finer than the template, or no mesh."
         told["findings"].append(Finding("detail.coarse", "info", message).to_dict())
     return detail
 
