@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from benchmarks.detail_views import draw_detail
 from benchmarks.documents import Figures
 from benchmarks.made_skin import carve, furrows, pits
 from solver.anatomy.embedding import barycentric
@@ -22,7 +23,7 @@ from solver.jobs import run_job
 from solver.meshio.ply import write_ply
 from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered
-from solver.registration.detail import bake_detail
+from solver.registration.detail import Detail, bake_detail
 from solver.registration.normal_maps import by_slopes, slopes
 from solver.registration.subdivided import CHILDREN, Subdivided
 from solver.registration.texture import texture_coordinates
@@ -51,6 +52,7 @@ IDENTITIES = 12  # shapes that make the person, and their deviation
 SPREAD = 0.6
 EXPRESSION = {"browInnerUp": 1.0, "mouthSmileLeft": 0.7, "mouthSmileRight": 0.7}
 DEEP_MM = 0.1  # of relief whose depth is compared
+NAMES = ("neutral", "expression")  # of the scans
 AT_REST = 0.4  # share of the furrows' depth that the neutral has
 
 
@@ -147,10 +149,17 @@ class Registered:
         }
 
 
-def measure(scan: Path | None, template: Path | None) -> Figures:
-    """Return what registrations bake: of a made person, and of a ``scan`` where one is given."""
+def measure(scan: Path | None, template: Path | None, picture: Path | None) -> Figures:
+    """Return what registrations bake: of a made person, and of a ``scan`` where one is given.
+
+    ``picture`` is where the made scans and their skins are drawn side by side.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        found = measure_made(Path(folder))
+        out = Path(folder)
+        found = measure_made(out)
+        if picture is not None:
+            rows = [(name, out / f"{name}.ply", out / name) for name in NAMES]
+            draw_detail(picture, rows, builtin_template())
         if scan is not None:
             found |= {f"scan_{key}": value for key, value in _given(scan, template).items()}
     return found
@@ -170,10 +179,9 @@ def measure_made(folder: Path) -> Figures:
     """Return figures of a made person, neutral and with deeper furrows; files go to ``folder``."""
     template = builtin_template()
     person = Person.of(template)
-    names = ("neutral", "expression")
     skins = ((person.skin, AT_REST), (person.moved, 1.0))
-    scans = [folder / f"{name}.ply" for name in names]
-    outs = [folder / name for name in names]
+    scans = [folder / f"{name}.ply" for name in NAMES]
+    outs = [folder / name for name in NAMES]
     relief = []
     for path, (skin, share) in zip(scans, skins, strict=True):
         scan, heights = person.scan(skin, share)
@@ -202,7 +210,7 @@ def measure_made(folder: Path) -> Figures:
         **rest.errors(),
         **person.recovered(texture_coordinates(template)),
         "registered_correlation": correlation(rest.heights(outs[0]), known, rest.areas),
-        "wrinkles_correlation": correlation(change, deeper, moved.areas),
+        "registered_wrinkles_correlation": correlation(mask * change, deeper, moved.areas),
         "wrinkles_error_deg": moved.mean(moved.off(worn), wrinkled),
         "without_wrinkles_deg": moved.mean(moved.off(before_map), wrinkled),
         "wrinkles_mask": moved.mean(mask, wrinkled),
@@ -251,22 +259,31 @@ class Person:
         return part_of(carve(fine, rough), self.outer), heights[used]
 
     def recovered(self, coordinates: TextureCoordinates) -> Figures:
-        """Return how heights baked on the very skin that was carved compare with those known."""
-        scan, _ = self.scan(self.skin, 1.0)
-        detail = bake_detail(scan, self.skin, self.topology, coordinates)
-        assert detail is not None
-        own = detail.texels.within(self.topology.face)
-        fine = Subdivided.of(self.skin, LEVELS)
-        faces, shares = fine.locate(detail.texels.faces[own], detail.texels.shares[own])
-        corners = fine.surface.faces[faces]
-        known = np.einsum("nc,nc->n", shares, (self.pores + self.lines)[corners])
-        found = detail.heights[own]
-        area = detail.texels.areas(own)
-        deep = known < -DEEP_MM
+        """Return how heights baked on the very skins that were carved compare with those known."""
+        rest, known = self._baked(self.skin, AT_REST, coordinates)
+        moved, carved = self._baked(self.moved, 1.0, coordinates)
+        own = moved.texels.within(self.topology.face)
+        area = moved.texels.areas(own)
+        found = moved.heights[own]
+        deep = carved[own] < -DEEP_MM
+        share = float(np.average(found[deep] / carved[own][deep], weights=area[deep]))
+        change = (moved.heights - rest.heights)[own]
         return {
-            "recovered_correlation": correlation(found, known, area),
-            "recovered_depth": float(np.average(found[deep] / known[deep], weights=area[deep])),
+            "recovered_correlation": correlation(rest.heights[own], known[own], area),
+            "recovered_depth": share,
+            "wrinkles_correlation": correlation(change, (carved - known)[own], area),
         }
+
+    def _baked(
+        self, skin: Surface, share: float, coordinates: TextureCoordinates
+    ) -> tuple[Detail, Floats]:
+        """Return what is baked of a scan of a skin, and the heights (t,) that were carved there."""
+        detail = bake_detail(self.scan(skin, share)[0], skin, self.topology, coordinates)
+        assert detail is not None
+        fine = Subdivided.of(skin, LEVELS)
+        faces, shares = fine.locate(detail.texels.faces, detail.texels.shares)
+        heights = (self.pores + share * self.lines)[fine.surface.faces[faces]]
+        return detail, np.einsum("nc,nc->n", shares, heights)
 
 
 def correlation(one: Floats, other: Floats, weights: Floats) -> float:

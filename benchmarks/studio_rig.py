@@ -1,7 +1,7 @@
 """How close the light rig that a studio ships is to the flesh.
 
     python -m benchmarks.studio_rig [--rig FILE] [--blendshapes FILE] [--learned FILE]
-        [--recording FILE] [--scan FILE [--template FILE] [--picture FILE]]
+        [--recording FILE] [--scan FILE [--template FILE] [--picture FILE]] [--detail-picture FILE]
         [--parts shapes,blink,levels,files,played,texture,detail] --json -
 
 ``shapes`` are ARKit's, each alone and whole: ``mean_mm`` is the face's mean distance to the
@@ -81,6 +81,7 @@ def main() -> None:
     )
     parser.add_argument("--template", type=Path, help="that it is registered to, else the built-in")
     parser.add_argument("--picture", type=Path, help="PNG of the scan and its textured skin")
+    parser.add_argument("--detail-picture", type=Path, help="PNG of the made scans, for ``detail``")
     parser.add_argument("--start", type=int, default=START, help="first frame that is played")
     parser.add_argument("--frames", type=int, default=FRAMES, help="that are played")
     report.add_list(parser, "--parts", PARTS)
@@ -105,7 +106,7 @@ def run(options: argparse.Namespace) -> Figures:
     if "detail" in options.parts:
         parts["detail"] = {"note": "not measured: it takes minutes"}
         if not options.quick:
-            parts["detail"] = measure_detail(options.scan, options.template)
+            parts["detail"] = measure_detail(options.scan, options.template, options.detail_picture)
     return {**told, "parts": parts}
 
 

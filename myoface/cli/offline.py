@@ -163,7 +163,8 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
             options=options,
             captures=name_expressions(given.get("scans") or [])
             | _named_files("asset", given)
-            | _named_files("photo", given),
+            | _named_files("photo", given)
+            | _named_files("wrinkle", given),
             facts=_named_files("facts", given),
             masks=_named_files("mask", given),
             role=given.get("role", "unknown"),

@@ -17,7 +17,7 @@ from solver.meshio.raw import RawScan, mend, read_raw
 from solver.meshio.registered import read_registered, write_registered
 from solver.meshio.scan_archive import opened_scan
 from solver.progress import Step
-from solver.registration.detail import DETAIL, bake_detail
+from solver.registration.detail import DETAIL, Detail, bake_detail
 from solver.registration.detector import landmarker_file
 from solver.registration.landmarks import match, read_landmarks
 from solver.registration.normal_maps import read_normals
@@ -37,13 +37,12 @@ def run(task: Task[RegisterScan]) -> list[Path]:
     """Register a raw scan: a neutral, or an expression if the person's ``neutral`` is given.
 
     The scan may be a ZIP of a mesh with its images. ``landmarks`` are in its own unit and axes.
-    ``registered.ply`` has the template's
-    vertices in mm with the property ``confidence``. Of a scan with colours there are
-    ``texture.png`` and ``texture_confidence.png``, too; images that cannot be used are a finding.
-    Of one that is finer than the template there are ``normals.png`` and ``displacement.png``, and
-    of an expression with the neutral's ``normals`` ``wrinkle_normals.png``.
-    Raises :class:`solver.errors.InputError` for files that cannot be used and for a scan without a
-    face (``scan.not_a_face``).
+    ``registered.ply`` has the template's vertices in mm with the property ``confidence``. Of a scan
+    with colours there are ``texture.png`` and ``texture_confidence.png``, too; images that cannot
+    be used are a finding. Of one that is finer than the template there are ``normals.png`` and
+    ``displacement.png``, and of an expression with the neutral's ``normals``
+    ``wrinkle_normals.png``. Raises :class:`solver.errors.InputError` for files that cannot be used
+    and for a scan without a face (``scan.not_a_face``).
     """
     with opened_scan(task.inputs["scan"]) as scan:
         return _register(task, scan)
@@ -82,10 +81,13 @@ def _register(task: Task[RegisterScan], scan: Path) -> list[Path]:
     distance_picture(registered, known, files[2])
     progress(Step("texture", 0.88))
     with _faults_told(told, "to have its colours, send the files again with it"):
-        files += _leave_texture(task, as_read, registered, known, told)
+        files += _leave_texture(task, scan, as_read, registered, known, told)
     progress(Step("detail", 0.92))
-    with _faults_told(told, "its detail needs what is missing"):
-        files += _leave_detail(task, raw, registered, known, told)
+    detail = None
+    with _faults_told(told, "to have its detail, give the template texture coordinates"):
+        detail = _bake_detail(task, raw, registered, known, told)
+    if detail is not None:
+        files += _leave_detail(task, detail, known, told)
     write_json(files[1], told)
     progress(Step("done", 1.0))
     return files
@@ -99,19 +101,22 @@ def _faults_told(told: dict[str, Any], advice: str) -> Iterator[None]:
     except InputError as error:
         if not error.code.startswith("texture."):
             raise
+        if any(each["code"] == error.code for each in told["findings"]):
+            return
         words = f"The skin is registered; {advice}."
         told["findings"].append(Finding(error.code, "warning", error.message, words).to_dict())
 
 
 def _leave_texture(
     task: Task[RegisterScan],
+    scan: Path,
     raw: RawScan,
     registered: RegisteredFace,
     known: Topology,
     told: dict[str, Any],
 ) -> list[Path]:
     """Leave the scan's colours on the registered skin, if it has any."""
-    colours = read_colours(task.inputs["scan"], raw)
+    colours = read_colours(scan, raw)
     if colours is None:
         return []
     coordinates = texture_coordinates(known.template)
@@ -123,27 +128,33 @@ def _leave_texture(
     return images
 
 
-def _leave_detail(
+def _bake_detail(
     task: Task[RegisterScan],
     raw: RawScan,
     registered: RegisteredFace,
     known: Topology,
     told: dict[str, Any],
-) -> list[Path]:
-    """Leave what a mended scan has beyond the registered skin, and what of it a neutral has not."""
-    given = task.options
+) -> Detail | None:
+    """Return what a mended scan has beyond the registered skin; None: nothing, which is told."""
     detail = None
     if len(raw.faces):
-        coordinates = texture_coordinates(known.template)
+        given = task.options
         options = replace(
             DETAIL, size=given.texture_size, width=given.detail_width_mm, most=given.detail_most_mm
         )
         scan = Surface(_onto_skin(registered)(raw.vertices), raw.faces)
+        coordinates = texture_coordinates(known.template)
         detail = bake_detail(scan, registered.skin, known, coordinates, options)
     if detail is None:
-        message = "The scan is hardly finer than the template's mesh: there is no normal map of it."
+        message = "There is no normal map: the scan is hardly finer than the template, or no mesh."
         told["findings"].append(Finding("detail.coarse", "info", message).to_dict())
-        return []
+    return detail
+
+
+def _leave_detail(
+    task: Task[RegisterScan], detail: Detail, known: Topology, told: dict[str, Any]
+) -> list[Path]:
+    """Leave the maps of a scan's detail, and of what of it a neutral has not."""
     images = [task.out / name for name in ("normals.png", "displacement.png")]
     detail.write(*images)
     told["detail"] = detail.figures
@@ -154,11 +165,12 @@ def _leave_detail(
         told["findings"].append(Finding("detail.noise", "info", message, advice).to_dict())
     neutral = task.inputs.get("normals")
     if neutral is not None and "neutral" in task.inputs:
-        before = read_normals(neutral, detail.texels, detail.coordinates)
-        changed = wrinkles(detail, before, known)
-        images.append(task.out / "wrinkle_normals.png")
-        changed.write(images[-1])
-        told["wrinkles"] = changed.figures
+        with _faults_told(told, "to have its wrinkles, register the neutral with this template"):
+            before = read_normals(neutral, detail.texels, detail.coordinates)
+            changed = wrinkles(detail, before, known)
+            images.append(task.out / "wrinkle_normals.png")
+            changed.write(images[-1])
+            told["wrinkles"] = changed.figures
     return images
 
 

@@ -111,7 +111,7 @@ INPUTS: Mapping[str, Input] = {
     "tracks": Input((_option("tracks", "tracks.npz of build-tracks"),)),
     "texture": Input((_option("texture", "texture.png of the neutral's register-scan"),)),
     "wrinkles": Input(
-        (_named("wrinkles", "NAME=FILE, wrinkle_normals.png of the expression NAME; repeatable"),)
+        (_named("wrinkle", "NAME=FILE, wrinkle_normals.png of the expression NAME; repeatable"),)
     ),
     "normals": Input((_option("normals", "normals.png of the neutral's register-scan"),)),
     "role": Input((InputPart("role", "what the scan is meant to be", form="role"),)),

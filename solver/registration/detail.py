@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.spatial import cKDTree
 
 from solver.anatomy.tangents import frames, vertex_tangents
 from solver.anatomy.texture_coordinates import TextureCoordinates
@@ -108,7 +109,14 @@ def bake_detail(
 
     None: on hardly any of the face is it finer than the skin.
     """
-    quiet = quieten(_around(scan, skin.vertices[topology.outer], options.margin))
+    near = _around(scan, skin.vertices[topology.outer], options.margin)
+    apart, _ = cKDTree(skin.vertices[topology.face]).query(
+        near.vertices, distance_upper_bound=options.trust.farthest
+    )
+    on_face = np.flatnonzero(np.isfinite(apart))
+    if not len(on_face):
+        return None
+    quiet = quieten(near, on_face)
     placed = PlacedScan(quiet.surface, skin, topology.face, options.trust)
     shown = placed.look_up(skin.vertices, vertex_normals(skin))
     finer = _finer(skin, quiet.surface, shown, options)
@@ -125,9 +133,9 @@ def bake_detail(
     believed = np.clip(compared.confidence / options.surest, 0.0, 1.0)
     believed *= np.clip(texels.at(finer[:, None], own)[:, 0], 0.0, 1.0)
     heights[own], normals[own], known[own] = _kept(compared, believed, quiet, options)
-    on_face = texels.within(topology.face)
-    seen = known[on_face] > 0.5
-    share = np.average(seen, weights=texels.areas(on_face))
+    face = texels.within(topology.face)
+    seen = known[face] > 0.5
+    share = np.average(seen, weights=texels.areas(face))
     figures = {
         "size": options.size,
         "share": round(float(share), 4),
@@ -136,7 +144,7 @@ def bake_detail(
         "displacement": {
             "offset_mm": -options.most / HIGHEST * MIDDLE,
             "scale_mm": options.most / HIGHEST,
-            "p95_mm": round(_p95(heights[on_face][seen]), 4),
+            "p95_mm": round(_p95(heights[face][seen]), 4),
         },
     }
     return Detail(texels, normals, heights, known, options.most, coordinates, figures)

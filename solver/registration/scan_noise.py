@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from solver.surface import Floats, Surface, adjacency, vertex_areas, vertex_normals
+from solver.surface import Floats, Ints, Surface, adjacency, vertex_areas, vertex_normals
 
 QUARTILE = 3.138  # deviation of normal numbers by that of which a quarter are smaller in size
 
@@ -25,6 +25,7 @@ class NoiseOptions:
     turn: float = 1.0  # degrees by which noise may turn normals, root mean square
     steps: tuple[int, ...] = (0, 1, 2, 4, 8, 16)  # of smoothing that are tried, the first that does
     around: int = 12  # means over neighbours of what noise does, for an estimate in each place
+    most: int = 100_000  # vertices by which noise is told
     seed: int = 0  # of noise that is added to see what it does
 
 
@@ -42,14 +43,18 @@ class QuietScan:
     turn_noise: Floats  # (n,) and of the normals, rad^2
 
 
-def quieten(scan: Surface, options: NoiseOptions = NOISE) -> QuietScan:
-    """Return a scan in mm, smoothed as little as its noise allows; its edges keep their place."""
+def quieten(scan: Surface, skin: Ints, options: NoiseOptions = NOISE) -> QuietScan:
+    """Return a scan in mm, smoothed as little as its noise allows.
+
+    Noise is what the vertices ``skin`` (k,) have, which are no hair or cloth.
+    """
     count = len(scan.vertices)
     graph = adjacency(scan.faces, count)
     degree = np.asarray(graph.sum(axis=1)).ravel()
     mean = sp.csr_array(sp.diags_array(1.0 / np.maximum(degree, 1.0)) @ graph)
     normals = vertex_normals(scan)
-    noise = _deviation(scan.vertices, normals, mean)
+    chosen = skin[:: len(skin) // options.most + 1]
+    noise = _deviation(scan.vertices, normals, mean, chosen)
     drawn = noise * np.random.default_rng(options.seed).standard_normal((count, 1)) * normals
     areas = vertex_areas(scan.vertices, scan.faces)
     points = scan.vertices
@@ -62,7 +67,7 @@ def quieten(scan: Surface, options: NoiseOptions = NOISE) -> QuietScan:
         smooth = Surface(points, scan.faces)
         own = vertex_normals(smooth)
         turned = ((vertex_normals(smooth.with_vertices(points + drawn)) - own) ** 2).sum(axis=1)
-        if np.average(turned, weights=areas) <= np.radians(options.turn) ** 2:
+        if np.average(turned[skin], weights=areas[skin]) <= np.radians(options.turn) ** 2:
             break
     left = np.column_stack([np.einsum("nd,nd->n", drawn, own) ** 2, turned])
     for _ in range(options.around):
@@ -70,10 +75,10 @@ def quieten(scan: Surface, options: NoiseOptions = NOISE) -> QuietScan:
     return QuietScan(smooth, noise, taken, left[:, 0], left[:, 1])
 
 
-def _deviation(points: Floats, normals: Floats, mean: sp.csr_array) -> float:
+def _deviation(points: Floats, normals: Floats, mean: sp.csr_array, chosen: Ints) -> float:
     """Return the deviation of noise along the normals, mm, by the quarter that bends least."""
     once = sp.csr_array(sp.eye_array(len(points)) - mean)
-    twice = once @ once
-    left = np.einsum("nd,nd->n", twice @ points, normals)
+    twice = once[chosen] @ once
+    left = np.einsum("nd,nd->n", twice @ points, normals[chosen])
     length = np.sqrt(np.asarray(twice.multiply(twice).sum(axis=1)).ravel())
     return QUARTILE * float(np.percentile(np.abs(left) / np.maximum(length, 1e-12), 25.0))

@@ -27,7 +27,7 @@ class WrinkleOptions:
     """Where skin counts as wrinkled, by the mean change of slopes around."""
 
     width: float = 12.0  # mm; waves of this length are halved in the mask
-    changes: tuple[float, float] = (0.04, 0.12)  # from which on the mask begins, and is full
+    changes: tuple[float, float] = (0.03, 0.08)  # from which on the mask begins, and is full
 
 
 WRINKLES = WrinkleOptions()

@@ -43,7 +43,7 @@ ASKED: Mapping[str, list[tuple[list[str], dict[str, str]]]] = {
     "fibre_muscles": [(["--fibres", "fibres.npz"], {"fibre_muscles": "fibres.npz"})],
     "texture": [(["--texture", "texture.png"], {"texture": "texture.png"})],
     "normals": [(["--normals", "normals.png"], {"normals": "normals.png"})],
-    "wrinkles": [(["--wrinkles", "smile=wrinkles.png"], {})],
+    "wrinkles": [(["--wrinkle", "smile=wrinkles.png"], {})],
     "tracks": [(["--tracks", "tracks.npz"], {"tracks": "tracks.npz"})],
     "start": [(["--start", "rig.npz"], {"start": "rig.npz"})],
     "assets": [(["--asset", "soft=map.npy"], {})],
@@ -176,6 +176,7 @@ def test_an_input_reaches_the_job_by_its_role(
         assert task.captures == {"soft": Path("map.npy")}
     for flag, found, file in (
         ("--photo", task.captures, "face.jpg"),
+        ("--wrinkle", task.captures, "wrinkles.png"),
         ("--facts", task.facts, "face.json"),
         ("--mask", task.masks, "mask.png"),
     ):

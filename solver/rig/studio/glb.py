@@ -31,7 +31,7 @@ def write_glb(rig: LightRig, path: Path, texture: SkinTexture | None = None) -> 
     skeleton = rig.skeleton
     parts = parts_of(rig.neutral, skeleton, texture.coordinates if texture else None)
     materials = list(dict.fromkeys(part.material for part in parts))
-    meshes = _Meshes(rig, buffer, materials)
+    meshes = _Meshes(rig, buffer, materials, has_normals=bool(texture and texture.normals))
     count = len(skeleton.joints)
     nodes = [
         *_joints(rig),
@@ -71,8 +71,11 @@ def _wear(document: gl.GLTF2, buffer: Buffer, texture: SkinTexture) -> None:
 class _Meshes:
     """Makes the mesh of each part, its data in the buffer."""
 
-    def __init__(self, rig: LightRig, buffer: Buffer, materials: Sequence[str]) -> None:
+    def __init__(
+        self, rig: LightRig, buffer: Buffer, materials: Sequence[str], *, has_normals: bool
+    ) -> None:
         self._buffer = buffer
+        self._has_normals = has_normals
         self._materials = materials
         self._points = rig.neutral.vertices * METRES
         self._rig = rig
@@ -99,10 +102,10 @@ class _Meshes:
         if part.places is not None:  # glTF's rows count from the upper edge
             turned = np.column_stack([part.places[:, 0], 1.0 - part.places[:, 1]])
             places = buffer.dense(turned, gl.VEC2, gl.ARRAY_BUFFER)
-            found = vertex_tangents(
-                self._points[used], self._rig.normals[used], part.places, part.faces
-            )
-            tangents = buffer.dense(found, gl.VEC4, gl.ARRAY_BUFFER)
+            if self._has_normals:
+                rest = self._points[used], self._rig.normals[used]
+                found = vertex_tangents(*rest, part.places, part.faces)
+                tangents = buffer.dense(found, gl.VEC4, gl.ARRAY_BUFFER)
         return gl.Attributes(
             TEXCOORD_0=places,
             TANGENT=tangents,

@@ -136,7 +136,7 @@ def test_a_smooth_error_of_registration_is_no_skin(
 def test_noise_is_no_skin(template: Template, known: Topology, head: Surface) -> None:
     noise = 0.05 * np.random.default_rng(1).standard_normal(len(head.vertices))
     rough = carved(template, head, noise)
-    assert quieten(rough).noise_mm == pytest.approx(0.05, rel=0.1)
+    assert quieten(rough, known.face).noise_mm == pytest.approx(0.05, rel=0.1)
     detail = baked(rough, known)
     own = detail.texels.within(known.face)
     assert np.abs(detail.heights[own]).mean() < 0.1 * np.abs(noise).mean()
@@ -193,7 +193,7 @@ def test_wrinkles_are_what_an_expression_adds(
     assert found.mask[np.abs(off) < 1.0].mean() > 0.5
     chin = furrowed.texels.within(template.regions["chin"])
     assert found.mask[chin].mean() < 0.05
-    assert found.figures["regions"]["forehead"] > 0.05
+    assert found.figures["regions"]["forehead"] > 0.03
     # and against itself nothing is added
     none = wrinkles(furrowed, furrowed.normals, known)
     assert none.mask.max() < 0.01
