@@ -58,7 +58,8 @@ class Neck:
     source: str  # a file's name, or what the built-in table is from
     landmarks: Mapping[str, Floats] = field(default_factory=dict)  # of the skull, (3,) mm each
     notices: tuple[str, ...] = ()  # what was replaced or left out as it was read
-    ligaments: float = 120.0  # N m/rad, what a joint has 0.1 rad beyond its range, beside the disc
+    ligaments: float = 2000.0  # N m/rad, of a joint 0.1 rad beyond where they are slack
+    slack: float = 0.9  # part of a joint's range in which ligaments are
 
     @property
     def head_range(self) -> Floats:

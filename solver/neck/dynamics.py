@@ -1,14 +1,17 @@
 """The motion of a neck: M(q) q'' + C(q, v) + discs + muscles = forces from outside.
 
 Discs push back by theta, each joint's rotation vector: their energy is theta . K theta / 2, and
-that of ligaments k x^3 / 3d at x beyond the range r, about each axis, stiff from d = 0.1 rad on;
-their torque is -J^-T dE/dtheta - D v, J the right Jacobian of the rotation. A muscle pulls by
--dl/dq f.
+that of ligaments k x^3 / 3d at x = |theta| (1 - 1/rho) beyond where they are slack, an ellipsoid
+|theta/r| = rho < 1 with a part of the joint's ranges as half axes, d = 0.1 rad; their torque is
+-J^-T dE/dtheta - D v, J the right Jacobian of the rotation. A muscle pulls by -dl/dq f.
 
 A step is semi-implicit: what damps, discs and muscles that are stretched fast, acts at the new
-velocity, for vertebrae are so light that their discs stop them within 1/20 ms:
+velocity, for vertebrae are so light that their discs stop them within 1/20 ms, and ligaments, of
+stiffness S = 2 k x / d, at the new place:
 
-    (M + h D + h L^T (df/dv) L) (v' - v) = h tau(q, v),   q' = q exp(h v'),   L = dl/dq
+    (M + h D + h L^T (df/dv) L + h^2 S) (v' - v) = h (tau(q, v) - h S v),   q' = q exp(h v'),
+
+L = dl/dq.
 
 v is thus that of half a step before q (a leapfrog), and C is taken at v + (v' - v)/2, by the last
 step's: without damping the energy stays, to second order.
@@ -22,7 +25,7 @@ import numba as nb
 import numpy as np
 
 from solver.errors import SolveError
-from solver.neck.anatomy import Neck
+from solver.neck.anatomy import JOINTS, Neck
 from solver.neck.body import DOFS, Body
 from solver.neck.cholesky import solve_lower
 from solver.neck.hill import HillOptions, Muscles, all_parts
@@ -30,7 +33,8 @@ from solver.neck.reflex import ReflexOptions, excite
 from solver.surface import Floats, Ints
 
 FASTEST = 1e4  # rad/s, of a joint; a faster one has blown up
-TOE = 0.1  # rad beyond a range in which ligaments become stiff
+TOE = 0.1  # rad beyond their slack at which ligaments have the stiffness of Neck.ligaments
+NARROWEST = 0.02  # rad, of a joint's half axes: what turns by less is held by its disc
 
 
 class Dynamics:
@@ -52,7 +56,7 @@ class Dynamics:
         self.activations = np.zeros(count)
         self.stiffness = neck.stiffness.ravel()
         self.damping = neck.damping.ravel()
-        self.ranges = neck.ranges.ravel()
+        self.slack = np.maximum(neck.slack * neck.ranges, NARROWEST).ravel()
         self.ligaments = neck.ligaments
         self.external = np.zeros(DOFS)  # torques (24,) from outside, N m
         self.plan = np.zeros((count, 5))  # u_0, l_0, l_1, l_2, l_r: see reflex.excite
@@ -64,20 +68,20 @@ class Dynamics:
     def passive_torque(self) -> Floats:
         """Return what discs, weight and motion do at the joints (24,), without muscles, in N m."""
         springs = np.empty(DOFS)
-        joint_torques(self.body.q, self.stiffness, self.ranges, self.ligaments, springs)
+        joints = self.stiffness, self.slack, self.ligaments
+        joint_torques(self.body.q, *joints, springs, np.empty(JOINTS))
         return np.asarray(springs - self.damping * self.body.v - self.body.bias)
 
     def joint_energy(self) -> float:
         """Return the energy in discs and ligaments in J."""
-        turns = self.body.turns.ravel()
-        beyond = np.maximum(np.abs(turns) - self.ranges, 0.0)
-        strained = self.ligaments * (beyond**3).sum() / (3.0 * TOE)
-        return float(self.stiffness @ turns**2 / 2.0 + strained)
+        strained = self.ligaments * (self._beyond() ** 3).sum() / (3.0 * TOE)
+        return float(self.stiffness @ self.body.turns.ravel() ** 2 / 2.0 + strained)
 
-    def joint_stiffness(self) -> Floats:
-        """Return the stiffness of the joints (24,) where they are, in N m/rad."""
-        beyond = np.maximum(np.abs(self.body.turns.ravel()) - self.ranges, 0.0)
-        return np.asarray(self.stiffness + 2.0 * self.ligaments / TOE * beyond)
+    def _beyond(self) -> Floats:
+        """Return how far joints (8,) are beyond where their ligaments are slack, rad."""
+        turns = self.body.turns
+        reach = np.linalg.norm(turns / self.slack.reshape(turns.shape), axis=1)
+        return np.asarray(np.linalg.norm(turns, axis=1) * (1.0 - 1.0 / np.maximum(reach, 1.0)))
 
     def advance(self, steps: int) -> None:
         """Let time pass; the body is up to date before and after.
@@ -97,7 +101,7 @@ class Dynamics:
                 step,
                 (body.q, body.v, self.activations, change),
                 (body.inertia, data.qfrc_bias, self.damping, self.external),
-                (self.stiffness, self.ranges, self.ligaments),
+                (self.stiffness, self.slack, self.ligaments),
                 (model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind, data.ten_J),
                 (data.ten_length, self.muscles.law, self.muscles.table),
                 (self.plan, self.since, self._late, self._place, gains, lags),
@@ -112,9 +116,13 @@ class Dynamics:
 
 @nb.njit(cache=True, error_model="numpy")
 def joint_torques(
-    q: Floats, stiffness: Floats, ranges: Floats, ligaments: float, made: Floats
+    q: Floats, stiffness: Floats, slack: Floats, ligaments: float, made: Floats, stops: Floats
 ) -> None:
-    """Write the torques (24,) of discs and ligaments, in the axes of the bodies above."""
+    """Write what discs and ligaments do.
+
+    The torques ``made`` (24,) are in the axes of the bodies above; ``stops`` (8,) are the stiffness
+    of each joint's ligaments in N m/rad.
+    """
     for k in range(len(q) // 4):
         w = q[4 * k]
         x = q[4 * k + 1]
@@ -135,9 +143,18 @@ def joint_torques(
             c = (1.0 - angle * math.cos(angle / 2.0) / (2.0 * math.sin(angle / 2.0))) / angle**2
         else:
             c = 1.0 / 12.0
+        reach = 0.0  # the square of rho
         for i, turn in ((3 * k, x), (3 * k + 1, y), (3 * k + 2, z)):
-            beyond = max(abs(turn) - ranges[i], 0.0)
-            made[i] = stiffness[i] * turn + math.copysign(ligaments / TOE * beyond * beyond, turn)
+            made[i] = stiffness[i] * turn
+            reach += (turn / slack[i]) ** 2
+        stops[k] = 0.0
+        if reach > 1.0:
+            inside = angle / math.sqrt(reach)
+            beyond = angle - inside
+            stops[k] = 2.0 * ligaments / TOE * beyond
+            pull = ligaments / TOE * beyond * beyond / angle
+            for i, turn in ((3 * k, x), (3 * k + 1, y), (3 * k + 2, z)):
+                made[i] += pull * turn * (1.0 + inside / angle * ((inside / slack[i]) ** 2 - 1.0))
         a = made[3 * k]
         b = made[3 * k + 1]
         d = made[3 * k + 2]
@@ -175,11 +192,13 @@ def _step(
     excite(plan, since, lengths, rates, late, place, gains, lags, h, a)
     all_parts(law, table, lengths, rates, parts)
     torque = np.empty(dofs)
-    joint_torques(q, joints[0], joints[1], joints[2], torque)
+    stops = np.empty(dofs // 3)
+    joint_torques(q, joints[0], joints[1], joints[2], torque, stops)
     A = inertia.copy()
     for i in range(dofs):
-        torque[i] += external[i] - damping[i] * v[i] - bias[i]
-        A[i, i] += h * damping[i]
+        stop = h * stops[i // 3]
+        torque[i] += external[i] - (damping[i] + stop) * v[i] - bias[i]
+        A[i, i] += h * (damping[i] + stop)
     for k in range(muscles):
         force = a[k] * parts[k, 0] + parts[k, 3]
         slows = h * (a[k] * parts[k, 2] + parts[k, 5])

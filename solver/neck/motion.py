@@ -47,6 +47,7 @@ class MotionOptions:
     settle_s: float = 0.6  # at the first goal, before the first frame
     push_steps: int = 10  # time steps after which a push's torques are made anew
     most_s: float = 3600.0  # of a goal
+    behind_deg: float = 5.0  # off a goal that a neck can have, beyond which a frame is told
     told_s: float = 1.0  # of motion between two reports of progress
     voluntary: VoluntaryOptions = field(default_factory=VoluntaryOptions)
     reflex: ReflexOptions = field(default_factory=ReflexOptions)
@@ -178,6 +179,16 @@ def _notice(code: str, words: str, which: np.ndarray, **more: float) -> Finding:
     message = f"{count_words(count, 'frame', 'frames')} of the head {words}, first frame {first}"
     rounded = {name: round(float(value), 2) for name, value in more.items()}
     return make_warning(code, message, {"count": count, "first_frame": first, **rounded})
+
+
+def tell_behind(off_deg: Floats, options: MotionOptions = MotionOptions()) -> list[Finding]:
+    """Return a notice of frames that are too far off their goals, ``off_deg`` (f,), if any is."""
+    behind = off_deg > options.behind_deg
+    if not behind.any():
+        return []
+    most = float(off_deg.max())
+    words = f"were up to {most:.1f} degrees from where muscles were to take it"
+    return [_notice("neck.behind", words, behind, off_deg=most)]
 
 
 def follow(

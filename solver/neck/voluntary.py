@@ -8,7 +8,8 @@ the middle of the tick, T/2 ahead,
 where the denominator counts what alpha itself does until then. Joints cannot be commanded one by
 one, as muscles leave some torques out of reach; they are asked softly for what brings them to the
 pose that shares out the head's rotation. With A the inertia plus what discs and muscles resist over
-half a tick, L = dl/dq, F and P of :mod:`solver.neck.hill` and tau all torques but the active ones,
+half a tick (not ligaments, which stop a joint within a tenth of it), L = dl/dq,
+F and P of :mod:`solver.neck.hill` and tau all torques but the active ones,
 
     q'' = A^-1 (tau - L^T F a)
     min w_h |J q'' + J' v - alpha|^2 + w_j |A q*'' - tau + L^T F a|^2 + w_a |a - c|^2
@@ -82,7 +83,7 @@ class Voluntary:
         slows = a_0 * parts[:, 2] + parts[:, 5]
         stiffens = np.maximum(a_0 * parts[:, 1] + parts[:, 4], 0.0)
         D = np.diag(dynamics.damping) + arms.T @ (slows[:, None] * arms)
-        K = np.diag(dynamics.joint_stiffness()) + arms.T @ (stiffens[:, None] * arms)
+        K = np.diag(dynamics.stiffness) + arms.T @ (stiffens[:, None] * arms)
         A = body.inertia + half * D + half**2 / 2.0 * K
         tau = dynamics.passive_torque() - arms.T @ P - half * (K @ v)
         pull = arms.T * F

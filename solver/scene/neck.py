@@ -20,7 +20,15 @@ from solver.kinds.scene_neck import HeadPush, NeckEntry
 from solver.model import SubjectModel
 from solver.neck.anatomy import Neck, NeckPose
 from solver.neck.builtin import builtin_neck
-from solver.neck.motion import HeadGoal, MotionOptions, NeckMotion, Push, follow, reachable
+from solver.neck.motion import (
+    HeadGoal,
+    MotionOptions,
+    NeckMotion,
+    Push,
+    follow,
+    reachable,
+    tell_behind,
+)
 from solver.neck.osim import read_osim
 from solver.neck.place import find_rim, head_joint, place_neck
 from solver.neck.posture import share_out
@@ -67,6 +75,7 @@ class CarriedHead:
         self._moved_mm = np.array([np.linalg.norm(head(pivot) - pivot) for head in heads])
         asked = Rotation.from_matrix([head.rotation for head in heads]).as_rotvec()
         self._options = options_of(entry)
+        self._steps = steps
         self._goal = reachable(self.placed.neck, drives.times, asked, self._options)
         goal = _between_frames(self._goal, steps)
         pushes = [push_of(push, places) for push in entry.pushes]
@@ -129,7 +138,8 @@ class CarriedHead:
             message = f"{words}: it turns alone, first frame {first}"
             context = {"count": count, "first_frame": first, "moved_mm": round(most, 2)}
             told.append(make_warning("neck.reach", message, context))
-        return [*told, *self._goal.notices]
+        behind = tell_behind(self.motion.off_deg[:: self._steps], self._options)
+        return [*told, *self._goal.notices, *behind]
 
     def arrays(self, times: Floats) -> dict[str, np.ndarray]:
         """Return what ``animation.npz`` has of a neck, with a row for each of ``times`` (f,)."""

@@ -228,6 +228,42 @@ def test_a_recording_is_played_by_the_muscles(rig: Path, tmp_path: Path) -> None
     assert kept.shapes.keys() == shapes.keys()
 
 
+def test_the_certificate_tells_what_a_neck_could_not_do(rig: Path, tmp_path: Path) -> None:
+    """A recorded head turns to the side by 115 degrees, within a second."""
+    shapes = tmp_path / "shapes.npz"
+    rest = {"mouthSmile_L": Solved(Pose(np.array([IDENTITY] * 2), np.zeros(5)), 0.1)}
+    Blendshapes(MODEL.muscle_names, rest).save(shapes, MODEL, MODEL.weights)
+    take = tmp_path / "take.csv"
+    with take.open("w", newline="") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(["Timecode", *ARKIT_NAMES, "HeadYaw", "HeadPitch", "HeadRoll"])
+        for second, yaw in enumerate([0.0, 0.4, 0.8, 2.0]):
+            rows.writerow([f"00:00:{second:02d}:00.000", *[0.0] * len(ARKIT_NAMES), yaw, 0, 0])
+    neck = {"muscles": False, "skin": False}
+    head = [{"time": 0}, {"time": 3, "move_mm": [0, 20, 0]}]
+    steps: list[Step] = []
+    run_job(
+        "animate",
+        tmp_path / "out",
+        options={"scene": {"recording": {"asset": "take"}, "neck": neck, "head": head}},
+        captures={"take": take},
+        progress=steps.append,
+        blendshapes=shapes,
+        rig=rig,
+    )
+    report = json.loads((tmp_path / "out/animation.json").read_text())
+    told = {notice["code"]: notice for notice in report["notices"]}
+    assert told.keys() == {"neck.range", "neck.reach"}
+    assert (told["neck.range"]["count"], told["neck.range"]["first_frame"]) == (1, 3)
+    assert told["neck.range"]["beyond_deg"] == pytest.approx(45.0, abs=5.0)
+    assert told["neck.reach"]["moved_mm"] == pytest.approx(20.0, abs=0.1)
+    assert report["neck"]["held_frames"] == 1
+    warned = {step.message for step in steps if step.phase == "warning"}
+    assert {notice["message"] for notice in told.values()} <= warned
+    with np.load(tmp_path / "out/animation.npz") as data:
+        assert data["head_held"].tolist() == [False, False, False, True]
+
+
 def test_the_rig_s_basis_is_solved_once_and_left(
     rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError, SolveError
 from solver.neck.builtin import builtin_neck
 from solver.neck.motion import MotionOptions, Push, follow, reachable
+from solver.neck.posture import within
 from solver.neck.reflex import ReflexOptions
 from solver.neck.voluntary import VoluntaryOptions
 
@@ -45,6 +47,20 @@ def test_the_published_law_holds_the_head_too():
     options = MotionOptions()
     springs = replace(options, hill=replace(options.hill, law="springs"))
     assert follow(NECK, still(0.6), springs).off_deg.max() < 0.5
+
+
+@pytest.mark.long
+def test_a_weak_neck_stays_within_its_range():
+    """Its muscles stop the head too late: ligaments hold it."""
+    weak = tuple(replace(each, strength=0.4 * each.strength) for each in NECK.muscles)
+    neck = replace(NECK, muscles=weak)
+    times = np.arange(0.0, 3.0, 0.02)
+    phases = np.array([0.4, 0.0, 1.1])
+    waves = np.sin(np.outer(times, [2.0, 1.7, 1.1]) + phases)
+    motion = follow(neck, reachable(neck, times, 1.3 * neck.head_range * waves))
+    assert motion.off_deg.max() > 5.0
+    turned = [Rotation.from_matrix(motion.pose(k).head).as_rotvec() for k in range(len(times))]
+    assert max(within(neck, vector)[1] for vector in turned) < np.radians(1.0)
 
 
 @pytest.mark.long

@@ -84,6 +84,9 @@ def test_a_push_moves_the_head_and_muscles_bring_it_back() -> None:
     assert np.linalg.norm(turned[1]) > 1.0
     assert turned[1][1] > 0.5  # the forehead to the left
     assert np.linalg.norm(turned[2]) < 0.6 * np.linalg.norm(turned[1])
+    [told] = stage.neck.notices
+    assert (told.code, told.context["first_frame"]) == ("neck.behind", 2)
+    assert told.context["off_deg"] > 5.0
     active = stage.neck.activations(0.2)
     assert active.shape == (len(stage.neck.placed.neck.muscles),)
     assert 0.0 <= active.min() < active.max() <= 1.0
