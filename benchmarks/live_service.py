@@ -186,7 +186,8 @@ def kill_broker(stack: Stack) -> None:
 
 
 def _processor_s(process: psutil.Process) -> float:
-    return sum(each.cpu_times().user for each in process.children(recursive=True))
+    every = process.children(recursive=True)
+    return float(sum(each.cpu_times().user for each in every))
 
 
 async def soak(

@@ -24,11 +24,11 @@ from solver.kinds.live_messages import (
     Message,
     MessageError,
 )
-from solver.kinds.live_session import VIEW_FILE
+from solver.kinds.live_session import PART, VIEW_FILE
 from solver.kinds.live_session import LiveSession as Options
 from solver.live.session import LiveOptions, LiveSession
 from solver.live.skin import FILE
-from solver.live.takes import PART, LeftTake, TakeWriter, check_name, finish_part
+from solver.live.takes import LeftTake, TakeWriter, check_name, finish_part
 from solver.live.texts import describe_frame, read_frame
 from solver.progress import Step
 from solver.storage import write_json

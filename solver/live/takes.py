@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solver.errors import InputError, quote
-from solver.kinds.live_session import Source
+from solver.kinds.live_session import PART, Source
 from solver.live.landmarks import IMAGE_AXES
 from solver.scans.markers.readers.take import Take
 from solver.scans.performance import ARKIT_NAMES, FaceTake, head_turn, write_performance
@@ -27,7 +27,6 @@ from solver.scans.performance import write_signals as write_recording
 from solver.surface import Floats
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
-PART = ".part"  # of a take that is being recorded
 
 
 @dataclass(frozen=True)
