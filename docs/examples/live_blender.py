@@ -36,8 +36,9 @@ def read_messages(packet):
         sizes = {"f": 4, "i": 4, "d": 8}
         if not tags or set(tags) - set(sizes):
             return
-        yield address.strip(b"\0").decode(), struct.unpack(
-            ">" + tags, message[len(message) - sum(sizes[tag] for tag in tags) :]
+        yield (
+            address.strip(b"\0").decode(),
+            struct.unpack(">" + tags, message[len(message) - sum(sizes[tag] for tag in tags) :]),
         )
 
 
