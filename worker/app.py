@@ -11,7 +11,7 @@ from service.queue.claims import Abilities
 from service.queue.wakeups import INGEST, LIVE, RUN_JOB, celery_app
 from service.settings import Settings
 from service.store.database import Store
-from worker.live import Lookout
+from worker.lookout import Lookout, Presence
 from worker.process import Standby
 from worker.supervise import Supervisor
 from worker.sweeper import Sweeper
@@ -50,7 +50,9 @@ def work(store: Store, settings: Settings, queue: str, can: Abilities) -> None:
     def sweep(**_: Any) -> None:
         Sweeper(store, settings, queue, can, slots, stopping).start()
         if queue == LIVE:
-            Lookout(store, settings.live_lease / LOOKS_OF_LEASE, is_free, stopping).start()
+            presence = Presence(settings.work, can.worker)
+            pause = settings.live_lease / LOOKS_OF_LEASE
+            Lookout(store, presence, pause, is_free, stopping).start()
 
     def stop(**_: Any) -> None:
         stopping.set()

@@ -10,17 +10,13 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import redis
 import structlog
-from sqlalchemy import or_, select
-from sqlalchemy.exc import SQLAlchemyError
 
-from service.queue.states import HELD, State
 from service.queue.streams import (
     KEPT_SECONDS,
     MOST_OUT,
@@ -31,10 +27,7 @@ from service.queue.streams import (
     Sent,
     parse,
 )
-from service.queue.table import has_run_out, is_due
-from service.queue.wakeups import LIVE, connect, wake
-from service.store.database import Store, clock
-from service.store.models import Job
+from service.queue.wakeups import connect
 from solver.kinds.live_channel import Channel, ChannelClosedError
 from solver.kinds.live_messages import FollowedFrame, Message, MessageError
 from solver.kinds.live_session import VIEW_FILE
@@ -281,44 +274,3 @@ def _number_of(message: Message) -> int:
 def _entries(found: Any) -> list[tuple[bytes, Fields]]:
     """Return the entries of the one stream that was read."""
     return found[0][1] if found else []
-
-
-class Lookout(threading.Thread):
-    """Wakes this worker for sessions whose worker is lost, much sooner than a sweeper's round.
-
-    It looks every ``pause`` seconds while ``is_free`` says that the worker has a place.
-    """
-
-    def __init__(
-        self, store: Store, pause: float, is_free: Callable[[], bool], stopping: threading.Event
-    ) -> None:
-        super().__init__(name="lookout", daemon=True)
-        self._store = store
-        self._pause = pause
-        self._is_free = is_free
-        self._stopping = stopping
-
-    def run(self) -> None:
-        """Look until the worker stops."""
-        while not self._stopping.wait(self._pause):
-            if not self._is_free():
-                continue
-            try:
-                if (job_id := self._find()) is not None:
-                    began = time.monotonic()
-                    with self._store.write() as session:
-                        # one that has waited is not alone: the session's worker may be alive
-                        if time.monotonic() - began < self._pause:
-                            wake(session, job_id, LIVE)
-            except SQLAlchemyError as error:
-                log.warning("database.unreachable", error=str(error))
-
-    def _find(self) -> str | None:
-        """Return a session that waits for a worker."""
-        with self._store.read() as session:
-            moment = clock(session)
-            lost = Job.state.in_(HELD) & has_run_out(moment)
-            waits = (Job.state == State.QUEUED) & is_due(Job, moment)
-            query = select(Job.id).where(Job.queue == LIVE, or_(lost, waits)).limit(1)
-            found: Any = session.scalar(query)
-        return None if found is None else str(found)

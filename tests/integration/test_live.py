@@ -27,7 +27,7 @@ from solver.kinds.live_session import PART
 from tests.servers.production import Production
 from tests.service_client import Studio, eventually, running
 
-RESUMES_WITHIN = 10.0  # s; the goal is 3 on a quiet machine
+RESUMES_WITHIN = 30.0  # s; the goal is 3 on a quiet machine, of the API its start
 
 
 @pytest.fixture(scope="module")
@@ -225,7 +225,7 @@ def test_a_slow_reader_misses_frames_and_holds_nobody_up(
             assert numbers[-len(last) :] == list(last)
 
 
-@pytest.mark.parametrize("what", ["solver", "worker", "broker"])
+@pytest.mark.parametrize("what", ["solver", "worker", "broker", "api"])
 def test_a_session_goes_on_after_a_kill(
     live: tuple[Stack, Studio, str], client: Client, what: str
 ) -> None:
@@ -244,6 +244,8 @@ def test_a_session_goes_on_after_a_kill(
             held_by = studio.job(face.id)["attempts"][-1]["worker"].split(":")[1]
             assert int(held_by) in (stack.pid("live"), stack.pid(SPARE))
             os.kill(int(held_by), signal.SIGKILL)
+        elif what == "api":
+            os.kill(stack.pid("api"), signal.SIGKILL)
         elif stack.settings.broker_url:
             pytest.skip("the broker is not the stack's")
         else:
@@ -252,12 +254,13 @@ def test_a_session_goes_on_after_a_kill(
     job = studio.job(face.id)
     assert job["state"] == "succeeded"
     outcomes = [attempt["outcome"] for attempt in job["attempts"]]
-    assert outcomes == (["succeeded"] if what == "broker" else ["lost", "succeeded"])
+    is_lost = what in ("solver", "worker")
+    assert outcomes == (["lost", "succeeded"] if is_lost else ["succeeded"])
     left = {each["name"] for each in job["result"]["artifacts"]}
     assert "before.csv" in left
-    assert ("during.csv" in left) == (what != "broker")
-    assert not [name for name in left if name.endswith(PART) and what != "broker"]
-    if what != "broker":
+    if is_lost:
+        assert "during.csv" in left
+        assert not [name for name in left if name.endswith(PART)]
         assert job["result"]["summary"]["resumed_from"] == sent
         eventually(lambda: all(map(_is_alive, (stack.pid("live"), stack.pid(SPARE)))), 30)
 
