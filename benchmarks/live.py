@@ -16,7 +16,7 @@ import logging
 import time
 from collections import deque
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -33,7 +33,7 @@ from solver.kinds.live_messages import GivenFrame
 from solver.kinds.live_session import Source
 from solver.live.checks import Sample, open_solver
 from solver.live.session import LiveOptions, LiveSession
-from solver.scans.markers.places.marker_set import MarkerSet
+from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.scans.performance import read_live_link
 from solver.similarity import IDENTITY
 from solver.surface import Floats
@@ -131,10 +131,17 @@ class _Played:
             heads = self.truth.heads
             return [head(self.truth.skin(row)).astype("<f4") for row, head in enumerate(heads)]
         bench = Bench(self.face, self.truth, MARKERS)
-        markers = MarkerSet(tuple(bench.markers), IDENTITY, self.rig.model.sha256)
+        markers = MarkerSet(tuple(map(_within, bench.markers)), IDENTITY, self.rig.model.sha256)
         self.files["marker_set"] = self.folder / "markers.json"
         markers.save(self.files["marker_set"])
         return [points.astype("<f4") for points in bench.clean().points]
+
+
+def _within(marker: Marker) -> Marker:
+    """Return a marker that was bound beside its triangle on that, as a set's file has it."""
+    shares = np.clip(marker.weights, 0.0, None)
+    first, second, third = (shares / shares.sum()).tolist()
+    return replace(marker, weights=(first, second, third))
 
 
 @dataclass

@@ -45,9 +45,16 @@ class ReducedPlaces(MarkerPlaces):
         self._on_jaw = np.repeat([marker.part == "lower_teeth" for marker in markers], 3)
         layout = sliders.rest.layout
         self._jaw_rates = sliders.directions[layout.joint_places]
+        self._last: tuple[Floats, Floats] | None = None
 
     def corners(self, x: Floats) -> Floats:
         """Return the corners (k, 3, 3) of the markers' triangles for slider values x (s,)."""
+        # a frame asks several times, and the next begins where it ended
+        if self._last is None or not np.array_equal(self._last[0], x):
+            self._last = x.copy(), self._corners_at(x)
+        return self._last[1]
+
+    def _corners_at(self, x: Floats) -> Floats:
         points = self._rest + (self._skin.amounts(x) @ self._basis).reshape(-1, 3)
         if self._on_jaw.any():
             b = self._sliders.jaw_numbers(x)

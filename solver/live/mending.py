@@ -25,7 +25,7 @@ class MendOptions:
 
     most: int = 400  # frames
     value: float = 0.4  # scale of a slider's value
-    clue_mm: float = 1.0  # scale of a clue
+    clue_mm: float = 3.0  # scale of a clue
     length: float = 3.0  # l, in these
     linear: float = 0.1  # s
     noise: float = 0.005  # n

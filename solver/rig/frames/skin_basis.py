@@ -207,20 +207,24 @@ class ReducedSkin:
 
     def amounts(self, values: Floats) -> Floats:
         """Return q (r,)."""
-        return np.asarray((self.linear + self._symmetric @ values) @ values)
+        return np.asarray((self.linear + self._bend(values)) @ values)
 
     def amount_rates(self, values: Floats) -> Floats:
         """Return the derivative of q by the sliders, (r, k)."""
-        return np.asarray(self.linear + 2.0 * (self._symmetric @ values))
+        return np.asarray(self.linear + 2.0 * self._bend(values))
+
+    def _bend(self, values: Floats) -> Floats:
+        """Return half the derivative (r, k) of the quadratic part."""
+        return (self._symmetric @ values).reshape(self.linear.shape)
 
     @cached_property
     def _symmetric(self) -> Floats:
-        """The quadratic map as symmetric matrices (r, k, k)."""
+        """The quadratic map as symmetric matrices, (r k, k): one product is faster than r."""
         first, second = np.triu_indices(self.linear.shape[1])
         out = np.zeros((*self.linear.shape, self.linear.shape[1]))
         out[:, first, second] += 0.5 * self.quadratic
         out[:, second, first] += 0.5 * self.quadratic
-        return out
+        return out.reshape(-1, out.shape[2])
 
 
 def modes_of(
