@@ -75,5 +75,9 @@ function show(buffer) {
   }
   const strongest = [...arrays.contractions.entries()].sort((a, b) => b[1] - a[1]).slice(0, 3);
   const pulls = strongest.map(([m, value]) => `${ready.muscles[m]} ${Math.round(100 * value)} %`);
-  console.log(view.getUint32(8, true), `${view.getFloat32(28, true).toFixed(2)} mm`, pulls.join(", "));
+  console.log(view.getUint32(8, true), millimetres(view.getFloat32(28, true)), pulls.join(", "));
+}
+
+function millimetres(value) {
+  return Number.isNaN(value) ? "not measured yet" : `${value.toFixed(2)} mm`;
 }

@@ -17,7 +17,7 @@ import { LiveTakes } from "./takes.js";
 const EVERY_MS = 3_000;
 const FIGURES_MS = 500;
 const TRIES = 20; // to read what the face is drawn by
-const AGAIN_MS = 500;
+const AGAIN_MS = 1000;
 
 /**
  * Sessions of a rig. `change(patch)` takes a part of a state, which names the session; `came()` is
@@ -32,6 +32,9 @@ export class LivePanel {
   #shown = null;
   #skin = null;
   #frame = null;
+  #isDrawing = false;
+  #isNewer = false;
+  #wasPreparing = false;
   #figures = new LiveFigures();
   #lanes = null;
   #isRecording = false;
@@ -87,6 +90,7 @@ export class LivePanel {
 
   /** Set `out` to the places of the face as it is now, over the neutral. */
   pose(out, neutral) {
+    this.#rest();
     this.#figures.drawn();
     if (this.#skin) this.#skin.pose(out, neutral, this.#frame);
     else out.set(this.#frame.skin);
@@ -146,6 +150,7 @@ export class LivePanel {
   #leave() {
     this.#feed?.close();
     this.#feed = this.#skin = this.#frame = this.#lanes = null;
+    this.#isDrawing = this.#isNewer = this.#wasPreparing = false;
     this.#figures = new LiveFigures();
     this.#setRecording(false);
     this.#button.disabled = true;
@@ -156,6 +161,7 @@ export class LivePanel {
   #hear(id, said) {
     const { type } = said;
     if (type === "preparing") {
+      this.#wasPreparing = true;
       this.#state.set("running", "Preparing");
       this.#bar.set({ attempts: [], progress: { phase: said.phase, fraction: said.fraction } });
       show(this.#what, this.#bar);
@@ -186,7 +192,7 @@ export class LivePanel {
       const skin = await this.#readSkin(id);
       if (this.#shown !== id) return;
       this.#skin = skin;
-      if (this.hasFace) this.#came();
+      if (this.hasFace) this.#draw();
     } catch (error) {
       if (!this.#signal.aborted) show(this.#what, h("p", { class: "notice bad", role: "alert" }, sentence(error)));
     }
@@ -195,11 +201,11 @@ export class LivePanel {
   /** Read the shapes of a session's skin, which are there a moment after it is ready. */
   async #readSkin(id) {
     for (let left = TRIES; ; left--) {
+      if (this.#wasPreparing || left < TRIES) await api.pause(AGAIN_MS, this.#signal);
       try {
         return new LiveSkin(await api.bytes(`/v1/live/${id}/view`, { signal: this.#signal }));
       } catch (error) {
         if (error.code !== "artifact.unknown" || !left) throw error;
-        await api.pause(AGAIN_MS, this.#signal);
       }
     }
   }
@@ -209,7 +215,24 @@ export class LivePanel {
     this.#frame = frame;
     this.#figures.came(frame);
     this.#lanes?.add(frame.array("contractions"), frame.isHeld, performance.now() / 1000);
-    if (this.hasFace) this.#came();
+    if (this.hasFace) this.#draw();
+  }
+
+  /** Have the newest face drawn, unless it is too soon. */
+  #draw() {
+    this.#isNewer = this.#isDrawing;
+    if (this.#isDrawing) return;
+    this.#isDrawing = true;
+    this.#came();
+  }
+
+  /** Leave the page as long for other things as a drawing takes: a slow machine would do nothing else. */
+  #rest() {
+    const begun = performance.now();
+    setTimeout(() => setTimeout(() => {
+      this.#isDrawing = false;
+      if (this.#isNewer) this.#draw();
+    }, performance.now() - begun));
   }
 
   #end(reason) {
