@@ -304,7 +304,8 @@ class DrawnBody:
 
     ``gloss`` is the strength of the highlight. An ``opacity`` under 1 lets what is behind shine
     through where the surface faces the camera, while its outline stays. ``edges`` draws triangles'
-    edges. ``faces`` (f, 3) are those that are drawn, all by default.
+    edges. ``faces`` (f, 3) are those that are drawn, all by default. ``cover`` (n,) is how much of
+    each vertex is there, 0 where a surface fades out before it ends.
     """
 
     lit: Lit
@@ -313,6 +314,7 @@ class DrawnBody:
     opacity: float = 1.0
     edges: bool = False
     faces: Ints | None = None
+    cover: Floats | None = None
 
     @property
     def drawn(self) -> Surface:
@@ -368,6 +370,8 @@ def _shade(body: DrawnBody, seen: Visible, camera: Camera) -> tuple[Pixels, Pixe
     opacity = np.ones_like(facing)
     if body.opacity < 1:
         opacity = body.opacity + (1 - body.opacity) * (1 - facing) ** 2.5
+    if body.cover is not None:
+        opacity *= seen.interpolate(body.cover[:, None])
     return colour, opacity
 
 

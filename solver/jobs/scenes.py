@@ -226,7 +226,8 @@ def draw_carried(
         pose = carried.pose(frame.time)
         active = carried.activations(frame.time)
         shots.append(NeckShot(f"{frame.time:.2f} s", skin, pose, active))
-    draw_neck(path, carried.model, carried.placed.neck, shots, carried.words)
+    places = None if carried.skin is None else carried.skin.places
+    draw_neck(path, carried.model, carried.placed.neck, shots, carried.words, places)
 
 
 def _reach(stage: Stage, motion: FleshMotion, drive: Drive | None, goal: Drive) -> Stepped:

@@ -144,11 +144,11 @@ def reachable(
                 vector, _ = within(neck, vector, options.range_part)
         vectors[k] = vector
     if beyond.any():
-        words = f"were up to {np.degrees(worst):.1f} degrees beyond the neck's range and held at it"
+        words = f"up to {np.degrees(worst):.1f} degrees beyond the neck's range: held at it"
         notices.append(_notice("neck.range", words, beyond, beyond_deg=np.degrees(worst)))
     if slow.any():
         found = np.degrees(fastest)
-        words = f"turned by up to {found:.0f} deg/s and were held at {options.most_deg_per_s:g}"
+        words = f"at up to {found:.0f} deg/s: held at {options.most_deg_per_s:g}"
         notices.append(_notice("neck.speed", words, slow, deg_per_s=found))
     curve = _curve(times, vectors, options.smooth_hz)
 
@@ -187,7 +187,7 @@ def tell_behind(off_deg: Floats, options: MotionOptions = MotionOptions()) -> li
     if not behind.any():
         return []
     most = float(off_deg.max())
-    words = f"were up to {most:.1f} degrees from where muscles were to take it"
+    words = f"up to {most:.1f} degrees from where muscles were to take it"
     return [_notice("neck.behind", words, behind, off_deg=most)]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,9 @@ class NeckPictureOptions:
     cell: tuple[int, int] = (640, 720)  # pixels of a picture
     drum_mm: float = 13.0  # radius of a vertebra's body
     part: float = 0.7  # of the way between two joints that it fills
+    hyoid_mm: float = 19.0  # in front of its joint, what is a vertebra's is the hyoid's
     opacity: float = 0.12  # of the skin
+    fade: float = 1.0  # place along the neck at which the skin is whole
     radius_mm: float = 1.6  # of a muscle
     sides: int = 8  # of its tube
     steps: int = 16  # along a muscle
@@ -52,9 +54,14 @@ def draw_neck(
     neck: Neck,
     shots: list[NeckShot],
     detail: str,
+    places: Floats | None = None,
     options: NeckPictureOptions = NeckPictureOptions(),
 ) -> None:
-    """Draw each of ``shots`` from the side and from the front."""
+    """Draw each of ``shots`` from the side and from the front.
+
+    ``places`` (v,) along the neck, 0 at the rim, are where the skin fades out before it ends.
+    Muscles of the hyoid are left out.
+    """
     head = DrawnHead(model.skin)
     whole = np.vstack([shot.skin for shot in shots])
     low = whole.min(axis=0)
@@ -62,11 +69,13 @@ def draw_neck(
     width, height = options.cell
     extent = high - low
     span = options.room * float(max(extent[1], max(extent[0], extent[2]) * height / width))
+    cover = None if places is None else np.clip(places / options.fade, 0.0, 1.0)
     columns = []
     for shot in shots:
         inside = _inside(model, neck, shot, options)
         lit = head.lit(shot.skin)
-        bodies = [inside, head.body(lit, head.skin, opacity=options.opacity)]
+        skin = replace(head.body(lit, head.skin, opacity=options.opacity), cover=cover)
+        bodies = [inside, skin]
         images: list[Pixels] = [
             render(bodies, Camera((low + high) / 2.0, span, yaw), *options.cell)
             for yaw in (SIDE, 0.0)
@@ -96,6 +105,8 @@ def _inside(
     strong = linear(np.array(STRONG))
     thread = ThreadOptions(radius_mm=options.radius_mm, sides=options.sides)
     for number, muscle in enumerate(neck.muscles if len(shot.activations) else ()):
+        if _on_hyoid(muscle, neck, options.hyoid_mm):
+            continue
         part = min(float(shot.activations[number]) / options.most, 1.0)
         pieces.append(tubes(_line(muscle, shot.pose, options.steps)[None], thread))
         colours.append((1.0 - part) * slack + part * strong)
@@ -118,6 +129,16 @@ def _drum(below: Floats, above: Floats, options: NeckPictureOptions) -> Surface:
     turn, _ = Rotation.align_vectors([along / length], [[0.0, 0.0, 1.0]])
     vertices = turn.apply(made.vertices) + (below + above) / 2.0
     return Surface(np.asarray(vertices), np.asarray(made.faces, np.int64))
+
+
+def _on_hyoid(muscle: Muscle, neck: Neck, far_mm: float) -> bool:
+    """Tell whether a muscle ends on a hyoid, which files put on vertebrae and people do not have.
+
+    It lies ``far_mm`` in front of the joint.
+    """
+    vertebra = (muscle.bodies > 0) & (muscle.bodies < JOINTS)
+    joints = neck.centres[np.maximum(muscle.bodies - 1, 0)]
+    return bool((vertebra & (muscle.points[:, 2] > joints[:, 2] + far_mm))[[0, -1]].any())
 
 
 def _line(muscle: Muscle, pose: NeckPose, steps: int) -> Floats:

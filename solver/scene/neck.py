@@ -76,6 +76,9 @@ class CarriedHead:
         asked = Rotation.from_matrix([head.rotation for head in heads]).as_rotvec()
         self._options = options_of(entry)
         self._steps = steps
+        self._beside = {
+            force.kind for force in forces if entry.muscles and not isinstance(force, GravityEntry)
+        }
         self._goal = reachable(self.placed.neck, drives.times, asked, self._options)
         goal = _between_frames(self._goal, steps)
         pushes = [push_of(push, places) for push in entry.pushes]
@@ -129,6 +132,10 @@ class CarriedHead:
     def notices(self) -> list[Finding]:
         """Return what of the head's motion was out of range or reach, and what was read."""
         told = [make_warning("neck.source", words) for words in self.placed.neck.notices]
+        if self._beside:
+            which = " and ".join(sorted(self._beside))
+            message = f"forces of the kind {which} act on the flesh alone, not on the neck"
+            told.append(make_warning("neck.forces", message, {"kinds": sorted(self._beside)}))
         moved = self._moved_mm > STILL_MM
         if moved.any():
             most = float(self._moved_mm.max())

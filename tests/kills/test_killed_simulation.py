@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import itertools
 import os
@@ -170,6 +171,72 @@ def test_a_killed_solver_costs_no_pair_that_is_kept(
         how = {"rig_id": rig, "captures": [asset["id"]], "options": {"scene": TAKE}}
         played = studio.finished(studio.submit("animate", subject, **how), seconds=240)
         assert played["result"]["summary"]["transfer"]["controls"] == "learned"
+
+
+NECK_SECONDS = 40
+
+
+@pytest.mark.slow
+def test_killed_processes_change_nothing_of_a_neck_s_motion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The solver is killed while the neck moves, then the worker among the frames."""
+    pytest.importorskip("mujoco")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    settings = Settings(data_dir=tmp_path / "data", **{**QUICK, "max_attempts": 5})
+    model = head_block((7, 5, 1))
+    template = with_bumps(tmp_path / "template.npz", model)
+    subject, rig = fitted(settings, tmp_path, model, template)
+    file = tmp_path / "take.csv"
+    with file.open("w", newline="") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(["Timecode", *ARKIT_NAMES, "HeadYaw", "HeadPitch", "HeadRoll"])
+        for second in range(NECK_SECONDS + 1):
+            weights = [0.5 * np.sin(0.3 * second) ** 2] * len(ARKIT_NAMES)
+            turned = 0.5 * np.sin(0.9 * second), 0.2 * np.sin(0.5 * second), 0.0
+            rows.writerow([f"00:00:{second:02d}:00.000", *weights, *turned])
+    scene = {**TAKE, "mode": "dynamic", "neck": {"skin": False}}
+    with Stack(settings) as stack, httpx.Client(base_url=stack.url, timeout=30) as http:
+        studio = Studio(http, stack.key)
+        upload = studio.upload("take.csv", file.read_bytes())
+        path = f"/v1/subjects/{subject}/captures"
+        asset = studio.post(path, name="take", role="asset", upload_id=upload)["id"]
+        how = {"rig_id": rig, "captures": [asset], "options": {"scene": scene}}
+        job = studio.submit("animate", subject, **how)
+        url = f"/v1/jobs/{job}/frames"
+
+        def phase() -> str:
+            return str((studio.job(job)["progress"] or {"phase": ""})["phase"])
+
+        def ready() -> int:
+            return int(studio.get(url)["ready"])
+
+        eventually(lambda: phase() == "neck", seconds=240)
+        [solver] = studio.solvers(stack)
+        os.kill(solver, signal.SIGKILL)
+        eventually(lambda: ready() >= 10, seconds=240)
+        before = studio.get(f"{url}?limit=10")["frames"]
+        os.kill(stack.pid("long"), signal.SIGKILL)
+        done = studio.finished(job, seconds=240)
+        assert done["state"] == "succeeded", done
+        outcomes = [attempt["outcome"] for attempt in done["attempts"]]
+        assert outcomes == ["lost", "lost", "succeeded"]
+        frames = studio.get(f"{url}?limit=1000")["frames"]
+        assert [frame["frame"] for frame in frames] == list(range(NECK_SECONDS + 1))
+        assert frames[:10] == before
+        files = {each["name"]: each["id"] for each in done["result"]["artifacts"]}
+        assert len(files) == len(done["result"]["artifacts"])
+        content = http.get(f"/v1/artifacts/{files['animation.npz']}").content
+    given = {"options": {"scene": scene}, "captures": {"take": file}, "template": template}
+    run_job("animate", tmp_path / "whole", rig=tmp_path / "rig.npz", **given)
+    with (
+        np.load(io.BytesIO(content)) as pieced,
+        np.load(tmp_path / "whole" / "animation.npz") as whole,
+    ):
+        assert np.ptp(whole["vertebrae"][:, -1, 1]) > 0.5
+        for name in ("vertebrae", "neck_activations"):
+            np.testing.assert_allclose(pieced[name], whole[name], atol=1e-6)
+        np.testing.assert_allclose(pieced["skin"], whole["skin"], atol=0.05)
 
 
 def with_bumps(path: Path, model: SubjectModel) -> Path:

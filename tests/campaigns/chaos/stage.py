@@ -34,6 +34,7 @@ SETTINGS: dict[str, Any] = {
     "solver_confined": False,  # a poison kills its worker
 }
 OTHER_HOST = ("long", "short")
+KINDS = ("fit_geometry", "check_scan", "fit_geometry", "build_model", "animate")
 READS = (WHO_AM_I, ("GET", "/v1/jobs?limit=50", None), ("GET", "/v1/subjects", None))
 
 
@@ -52,7 +53,7 @@ class Stage:
     places: Places
     backup: Path
     reader: Customer
-    waiting: list[tuple[str, str, list[str]]] = field(default_factory=list)
+    waiting: list[tuple[str, str, dict[str, Any]]] = field(default_factory=list)
     good: list[str] = field(default_factory=list)
     poison: list[str] = field(default_factory=list)
     spoilt: list[str] = field(default_factory=list)
@@ -62,16 +63,24 @@ class Stage:
 
     def prepare(self, jobs: int, poison: int) -> None:
         """Upload the scans of all jobs, and submit the poison."""
-        subject = self.studio.modelled()
+        subject, rig = self.studio.rigged()
+        upload = self.studio.upload("take.csv", b"take")
+        path = f"/v1/subjects/{subject}/captures"
+        take = self.studio.post(path, name="take", role="asset", upload_id=upload)["id"]
         for number in range(jobs):
             seconds = round(self.dice.uniform(0.1, 1.5), 2)
-            kind = ("fit_geometry", "check_scan", "fit_geometry", "build_model")[number % 4]
+            kind = KINDS[number % len(KINDS)]
             if kind == "build_model":
-                self.waiting.append((kind, self.studio.subject(seconds=seconds), []))
+                self.waiting.append((kind, self.studio.subject(seconds=seconds), {}))
+            elif kind == "animate":
+                scene = {"recording": {"asset": "take"}, "neck": {}, "damping": seconds}
+                options = {"scene": scene}
+                how = {"rig_id": rig, "captures": [take], "options": options}
+                self.waiting.append((kind, subject, how))
             else:
                 name = f"expression{number}"
                 capture = self.studio.capture(subject, name, seconds=seconds, child=30)
-                self.waiting.append((kind, subject, [capture]))
+                self.waiting.append((kind, subject, {"captures": [capture]}))
         self.poison = [
             self.studio.submit("build_model", self.studio.subject(fault="poison"))
             for _ in range(poison)
@@ -80,9 +89,9 @@ class Stage:
     def submit(self, until: int) -> None:
         """Submit jobs until there are so many."""
         while self.waiting and len(self.good) < until:
-            kind, subject, captures = self.waiting.pop(0)
+            kind, subject, how = self.waiting.pop(0)
             began = time.monotonic()
-            self.good.append(self.studio.submit(kind, subject, captures=captures))
+            self.good.append(self.studio.submit(kind, subject, **how))
             self.slowest_submission = max(self.slowest_submission, time.monotonic() - began)
 
     def jobs(self) -> list[Job]:

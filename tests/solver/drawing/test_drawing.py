@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from solver.drawing.head import both_sides, heat, muscle_colours
-from solver.drawing.render import Camera, irradiance, look
+from solver.drawing.render import Camera, DrawnBody, Lit, irradiance, look, render
 from solver.surface import Surface
 
 
@@ -29,6 +31,20 @@ def test_a_camera_sees_the_nearer_triangle_at_its_true_place() -> None:
     centre = camera.project(np.array([[0.0, 0.0, 10.0]]), 200, 200)[0].astype(int)
     assert seen.triangle[centre[1], centre[0]] >= 2
     assert set(np.round(points[:, 2])) == {10.0, -30.0}
+
+
+def test_what_is_not_covered_fades_out() -> None:
+    plate = square(0.0, 40.0)
+    lit = Lit(plate)
+    camera = Camera(np.zeros(3), span=100.0)
+    cover = np.array([0.0, 0.0, 1.0, 1.0])  # whole above, nothing at its lower edge
+    black = np.zeros((4, 3))
+    body = DrawnBody(lit, black, gloss=0.0)
+    faded, whole = (render([each], camera, 80, 80) for each in (replace(body, cover=cover), body))
+    rows = [12, 40, 68]
+    assert (whole[rows, 40] == 0.0).all()
+    above, middle, below = faded[rows, 40, 0]
+    assert above < 0.4 < middle < 0.8 < below
 
 
 def test_front_view_shows_the_subjects_left_on_the_right() -> None:

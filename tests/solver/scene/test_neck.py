@@ -95,6 +95,18 @@ def test_a_push_moves_the_head_and_muscles_bring_it_back() -> None:
     assert np.abs(lying.neck.motion.activations - stage.neck.motion.activations).max() > 0.01
 
 
+def test_forces_that_the_neck_does_not_feel_are_told() -> None:
+    pytest.importorskip("mujoco")
+    forces = [{"kind": "gravity"}, {"kind": "wind", "m_s": [0, 0, -20]}]
+    told = {}
+    for muscles in (True, False):
+        scene = {"fps": 5, "duration": 0.2, "neck": {"muscles": muscles}, "forces": forces}
+        stage = staged(scene)
+        assert stage.neck is not None
+        told[muscles] = [(notice.code, notice.context) for notice in stage.neck.notices]
+    assert told == {True: [("neck.forces", {"kinds": ["wind"]})], False: []}
+
+
 def test_a_face_without_a_neck_is_refused_unless_its_skin_may_turn_whole() -> None:
     model = head_block((7, 5, 1))
     for entry, refused in ((JOINTS_ALONE, True), ({**JOINTS_ALONE, "skin": False}, False)):
