@@ -144,10 +144,10 @@ class Settings(BaseSettings):
     lease: float = Field(
         default=30, gt=0, description="a worker silent for so long has lost its job"
     )
-    live_lease: float = Field(
+    live_silence: float = Field(
         default=1.5,
         gt=0,
-        description="the same of a live session, which another worker then goes on with",
+        description="a worker silent for so long has lost its live sessions to other hosts'",
     )
     beat: float = Field(
         default=1, gt=0, description="how often a supervisor renews, reports, reads cancels"
@@ -242,10 +242,6 @@ class Settings(BaseSettings):
         """
         own: int | None = getattr(self, f"max_{kind.queue}_seconds")
         return own or kind.max_seconds + int(input_bytes / self.min_read_rate)
-
-    def lease_of(self, queue: str) -> float:
-        """Return the seconds after which a silent worker has lost a job of ``queue``."""
-        return self.live_lease if queue == "live" else self.lease
 
     @property
     def sweeper_term(self) -> float:

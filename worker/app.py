@@ -16,9 +16,6 @@ from worker.process import Standby
 from worker.supervise import Supervisor
 from worker.sweeper import Sweeper
 
-# How often a worker for sessions looks for one that is lost, in the time of a lease
-LOOKS_OF_LEASE = 6
-
 
 def work(store: Store, settings: Settings, queue: str, can: Abilities) -> None:
     """Do the jobs of ``queue`` that this worker can do, until told to stop."""
@@ -51,8 +48,7 @@ def work(store: Store, settings: Settings, queue: str, can: Abilities) -> None:
         Sweeper(store, settings, queue, can, slots, stopping).start()
         if queue == LIVE:
             presence = Presence(settings.work, can.worker)
-            pause = settings.live_lease / LOOKS_OF_LEASE
-            Lookout(store, presence, pause, is_free, stopping).start()
+            Lookout(store, presence, settings.live_silence, is_free, stopping).start()
 
     def stop(**_: Any) -> None:
         stopping.set()

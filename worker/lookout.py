@@ -6,18 +6,23 @@ import fcntl
 import threading
 import time
 from collections.abc import Callable
+from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import structlog
-from sqlalchemy import or_, select
+from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.queue import table
 from service.queue.states import HELD, State
-from service.queue.table import has_run_out, is_due
+from service.queue.table import is_due
 from service.queue.wakeups import LIVE, wake
 from service.store.database import Store, clock
 from service.store.models import Job
+
+# Looks in the time of a silence that is too long
+LOOKS = 6
 
 log = structlog.get_logger()
 
@@ -34,39 +39,51 @@ class Presence:
         self._own = (folder / f"lives.{name}").open("w")  # open for as long as this process lives
         fcntl.flock(self._own, fcntl.LOCK_EX)
 
-    def is_dead(self, name: str) -> bool:
-        """Return whether a worker of this host has died."""
+    def is_alive(self, name: str) -> bool | None:
+        """Return whether a worker of this host lives; None: it is none of this host's."""
         try:
             with (self._folder / f"lives.{name}").open() as other:
                 fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except (FileNotFoundError, BlockingIOError):
-            return False
-        return True
+        except FileNotFoundError:
+            return None
+        except BlockingIOError:
+            return True
+        return False
 
     def forget(self, name: str) -> None:
         """Remove the file of a worker that has died."""
         (self._folder / f"lives.{name}").unlink(missing_ok=True)
 
 
+class _Held(NamedTuple):
+    """A session that a worker has, and when that said so last."""
+
+    job_id: str
+    worker: str
+    leased_at: datetime
+
+
 class Lookout(threading.Thread):
     """Wakes this worker for sessions that wait for one, and for those whose worker is lost.
 
-    It looks every ``pause`` seconds while ``is_free`` says that the worker has a place. A worker
-    of this host that has died has lost its sessions at once, another one when their lease is over.
+    It looks while ``is_free`` says that this worker has a place. A worker of this host has lost its
+    sessions at once when it has died, and only then; one elsewhere when it has said nothing for
+    ``silence`` seconds.
     """
 
     def __init__(
         self,
         store: Store,
         presence: Presence,
-        pause: float,
+        silence: float,
         is_free: Callable[[], bool],
         stopping: threading.Event,
     ) -> None:
         super().__init__(name="lookout", daemon=True)
         self._store = store
         self._presence = presence
-        self._pause = pause
+        self._silence = silence
+        self._pause = silence / LOOKS
         self._is_free = is_free
         self._stopping = stopping
 
@@ -80,31 +97,40 @@ class Lookout(threading.Thread):
                 log.warning("lookout.failed", error=str(error))
 
     def _look(self) -> None:
-        waiting, owners = self._find()
-        dead = {name for name in set(owners.values()) if self._presence.is_dead(name)}
-        if waiting is None and not dead:
+        waiting, held, moment = self._find()
+        lives = {name: self._presence.is_alive(name) for name in {each.worker for each in held}}
+        dead = [each for each in held if lives[each.worker] is False]
+        oldest = moment - timedelta(seconds=self._silence)
+        silent = [each for each in held if lives[each.worker] is None and each.leased_at < oldest]
+        if waiting is None and not dead and not silent:
             return
         began = time.monotonic()
         with self._store.write() as session:
-            for job_id, name in owners.items():
-                if name in dead:
-                    table.expire(session, job_id, Job.lease_owner == name)
-                    wake(session, job_id, LIVE)
-            # one that has waited is not alone: the session's own worker may be alive
-            if waiting is not None and time.monotonic() - began < self._pause:
+            if time.monotonic() - began > self._pause:
+                silent = []  # they may have waited for the database as well
+            for job_id, worker, leased_at in [*dead, *silent]:
+                same = (Job.lease_owner == worker) & (Job.leased_at == leased_at)
+                table.expire(session, job_id, same)
+                wake(session, job_id, LIVE)
+            if waiting is not None:
                 wake(session, waiting, LIVE)
-        for name in dead:
-            self._presence.forget(name)
+        for each in dead:
+            self._presence.forget(each.worker)
 
-    def _find(self) -> tuple[str | None, dict[str, str]]:
-        """Return a session that waits for a worker, and whose those are that have one."""
+    def _find(self) -> tuple[str | None, list[_Held], datetime]:
+        """Return a session that waits for a worker, those that have one, and the time."""
         with self._store.read() as session:
             moment = clock(session)
-            lost = Job.state.in_(HELD) & has_run_out(moment)
-            waits = (Job.state == State.QUEUED) & is_due(Job, moment)
-            query = select(Job.id).where(Job.queue == LIVE, or_(lost, waits)).limit(1)
-            held = select(Job.id, Job.lease_owner).where(
-                Job.queue == LIVE, Job.state.in_(HELD), Job.lease_owner.is_not(None)
+            due = (Job.queue == LIVE, Job.state == State.QUEUED, is_due(Job, moment))
+            waiting = session.scalar(select(Job.id).where(*due).limit(1))
+            held = select(Job.id, Job.lease_owner, Job.leased_at).where(
+                Job.queue == LIVE, Job.state.in_(HELD)
             )
-            owners = {job_id: str(name) for job_id, name in session.execute(held)}
-            return session.scalar(query), owners
+            found = [_Held(*map(_require, row)) for row in session.execute(held)]
+        return waiting, found, moment
+
+
+def _require(value: Any) -> Any:
+    """Return what a session that is held has."""
+    assert value is not None
+    return value

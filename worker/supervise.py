@@ -49,8 +49,8 @@ Done = TypeVar("Done")
 # Errors of the database that no waiting mends: it answers, and does not take what it is given
 REFUSED_BY_DATABASE = (DataError, IntegrityError, ProgrammingError)
 
-# A lease is renewed so often before it runs out
-BEATS_OF_LEASE = 5
+# Beats of a session in the time of a silence that is too long
+BEATS_OF_SILENCE = 5
 
 # Bytes that a solver may write besides what it leaves, and the beats from one count to the next
 SCRATCH = 8 << 30
@@ -87,7 +87,6 @@ class Supervisor:
         self._can = can
         self._stopping = stopping
         self._standby = standby
-        self._lease = settings.lease
         self._renewed = 0.0
         self._unwritten = _News([], [], [], {})
         self._bridge: Bridge | None = None
@@ -95,9 +94,9 @@ class Supervisor:
 
     def run_next(self, queue: str) -> bool:
         """Claim the best job of a queue, do it and commit; False: there is none to be had."""
-        self._lease = self._settings.lease_of(queue)
         with self._store.write() as session:
-            claim = claim_next(session, queue, self._can, self._lease, self._settings.sweeper_term)
+            settings = self._settings
+            claim = claim_next(session, queue, self._can, settings.lease, settings.sweeper_term)
         if claim is None:
             return False
         self._renewed = time.monotonic()
@@ -202,7 +201,9 @@ class Supervisor:
         self, claim: Claim, process: SolverProcess, folder: AttemptFolder, end: float
     ) -> int | None:
         """Wait for the solver's exit code, with a beat now and then; None: not before ``end``."""
-        beat = min(self._settings.beat, self._lease / BEATS_OF_LEASE)
+        beat = self._settings.beat
+        if self._bridge is not None:
+            beat = min(beat, self._settings.live_silence / BEATS_OF_SILENCE)
         for number in count(1):
             if (code := process.wait(beat)) is not None:
                 break
@@ -218,9 +219,8 @@ class Supervisor:
     def _beat(self, claim: Claim, process: SolverProcess, folder: AttemptFolder) -> None:
         """Renew the lease, pass on what the solver said and left, and see whether to stop.
 
-        A database that does not answer is no reason to stop before the usual lease has run out,
-        not even in a session, whose own is short: nobody else can take it meanwhile. What was said
-        is written down when it does.
+        A database that does not answer is no reason to stop before the lease has run out; what
+        was said meanwhile is written down when it does.
         """
         news = self._unwritten
         news.steps.extend(process.steps())
@@ -236,7 +236,7 @@ class Supervisor:
                     session,
                     claim.job_id,
                     claim.attempt,
-                    self._lease,
+                    self._settings.lease,
                     steps=news.steps,
                     lines=news.lines,
                     chunks=news.chunks,

@@ -25,7 +25,7 @@ from service.store.models import Job
 from solver.kinds.live_messages import Message
 
 KIND = "live_session"
-# Attempts that may be lost: a session is long, and its worker's lease short
+# Attempts that may be lost: a session is long, and its worker soon given up
 LEAST_ATTEMPTS = 10
 # Seconds for which a session that was told to end may store its takes, and pauses meanwhile
 ENDS_WITHIN = 10.0

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -68,12 +69,14 @@ def _state(store: Store, job_id: str) -> State:
         return session.get_one(Job, job_id).state
 
 
-def _look(store: Store, folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def _look(
+    store: Store, folder: Path, monkeypatch: pytest.MonkeyPatch, silence: float = 10.0
+) -> list[str]:
     """Return the sessions that a lookout wakes its worker for."""
     woken: list[str] = []
     monkeypatch.setattr(store._wake_ups, "send", lambda job_id, _queue: woken.append(job_id))
     presence = Presence(folder, "host:2")
-    Lookout(store, presence, 10.0, lambda: True, threading.Event())._look()
+    Lookout(store, presence, silence, lambda: True, threading.Event())._look()
     return woken
 
 
@@ -87,7 +90,16 @@ def test_the_sessions_of_a_dead_worker_go_on_before_their_lease_is_over(
     other.wait()
     assert _look(store, folder, monkeypatch) == [held]
     assert (_state(store, held), _state(store, elsewhere)) == (State.QUEUED, State.RUNNING)
-    assert not Presence(folder, "host:3").is_dead("host:1")  # it has been dealt with
+    assert Presence(folder, "host:3").is_alive("host:1") is None  # it has been dealt with
+
+
+def test_only_a_worker_elsewhere_is_lost_when_it_is_silent(
+    store: Store, other: subprocess.Popen[bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held, elsewhere = _session(store, "host:1"), _session(store, "elsewhere:1")
+    time.sleep(2.1)
+    assert _look(store, tmp_path / "work", monkeypatch, silence=2.0) == [elsewhere]
+    assert (_state(store, held), _state(store, elsewhere)) == (State.RUNNING, State.QUEUED)
 
 
 def test_a_worker_is_woken_for_what_waits(
