@@ -14,7 +14,8 @@ from pathlib import Path
 
 import structlog
 
-from service.queue.states import HELD
+from service.queue.states import FINAL, HELD
+from service.queue.wakeups import LIVE
 from service.store.database import Store
 from service.store.models import Job
 
@@ -39,6 +40,8 @@ def remove_orphans(store: Store, work: Path) -> None:
     for folder in {path.with_name(path.name.removesuffix(SESSION)) for path in work.iterdir()}:
         if ATTEMPT.fullmatch(folder.name) and not _is_held(store, folder.name):
             end_processes(folder)
+            if _has_takes(store, folder.name):
+                continue
             remove_attempt(folder)
             log.info("attempt.removed", folder=folder.name)
 
@@ -110,6 +113,16 @@ def _is_held(store: Store, name: str) -> bool:
     with store.read() as session:
         job = session.get(Job, job_id)
         return job is not None and job.state in HELD and str(job.attempt) == attempt
+
+
+def _has_takes(store: Store, name: str) -> bool:
+    """Return whether the next attempt at a live session may take over what one was recording."""
+    job_id, _, attempt = name.rpartition(".")
+    with store.read() as session:
+        job = session.get(Job, job_id)
+        if job is None or job.queue != LIVE or job.state in FINAL:
+            return False
+        return int(attempt) in (job.attempt, job.attempt - 1)
 
 
 def _note_path(folder: Path) -> Path:
