@@ -41,7 +41,7 @@ class LiveSession(JobOptions):
         "shapes, which need no more than the rig's live_skin.npz",
     )
     check_seconds: float = Field(
-        default=0.5,
+        default=0.1,
         ge=0,
         le=60,
         description="pause between two frames that are solved in full beside the session, by which "

@@ -13,8 +13,8 @@ import os
 import queue
 import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from solver.errors import InputError, SolveError
+from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.activation import unseen_regulariser
 from solver.fitting.markers.observation import Markers, SeenMarkers
@@ -37,14 +37,16 @@ from solver.live.rigged import LiveFace
 from solver.scans.markers.places.marker_set import MarkerSet
 from solver.surface import Floats
 
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
 
 @dataclass(frozen=True)
 class CheckOptions:
     """How frames are solved beside a session."""
 
-    pause_s: float = 0.5  # between two of them
+    pause_s: float = 0.1  # between two of them
     niceness: int = 10  # of their process: frames come first
-    ending_s: float = 3.0  # that it gets to end
+    ending_s: float = 1.0  # that it gets to end: it has nothing to lose
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +190,8 @@ class CheckProcess:
         theirs, self._send = context.Pipe(duplex=False)
         self._receive, answer = context.Pipe(duplex=False)
         self._process = context.Process(target=_work, args=(order, theirs, answer), daemon=True)
-        self._process.start()
+        with _one_thread():
+            self._process.start()
         theirs.close()
         answer.close()
         self._options = order.options
@@ -233,14 +236,29 @@ class CheckProcess:
         self._is_idle = False
 
 
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Have processes that are started meanwhile use one thread: a session has frames to follow."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
 def _work(order: CheckOrder, receive: Connection, send: Connection) -> None:
     """Solve what comes until there is no more, or the session has died."""
     with suppress(OSError):
         os.nice(order.options.niceness)
-    with suppress(EOFError, OSError, InputError):
-        face = LiveFace.open(order.files, order.out)
-        pause = max(order.options.pause_s, 1e-2)
-        checks = Checks(face, open_solver(face, order.source, order.files, pause))
+    face = LiveFace.open(order.files, order.out)
+    pause = max(order.options.pause_s, 1e-2)
+    checks = Checks(face, open_solver(face, order.source, order.files, pause))
+    with suppress(EOFError, BrokenPipeError):
         send.send(None)
         while (sample := receive.recv()) is not None:
             send.send(checks.check(sample))

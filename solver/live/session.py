@@ -43,7 +43,7 @@ class LiveOptions:
     rate: float = 60.0  # frames a second that will come
     smooth_hz: float | None = None
     send_skin: bool = False
-    check_seconds: float = 0.5  # 0: no frames are solved in full
+    check_seconds: float = 0.1  # 0: no frames are solved in full
     gap_s: float = 1.0  # from which on what was before counts no more
     window_s: float = 10.0  # of the running error
     farthest: float = 1e5  # of a frame's numbers: what is beyond counts as not seen

@@ -7,6 +7,7 @@ import os
 import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any, Protocol, TypeVar
@@ -329,7 +330,10 @@ def leave_threads_to_kernels() -> None:
     Its threads wait busily for their next call and keep the kernels' from running: on two cores a
     frame of a sequence took four times as long with both.
     """
-    threadpool_limits(limits=1, user_api="blas")
+    # a child of a confined process may not look at what it has loaded: its parent tells it then, by
+    # its environment
+    with suppress(PermissionError):
+        threadpool_limits(limits=1, user_api="blas")
 
 
 def in_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
