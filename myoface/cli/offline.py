@@ -294,5 +294,4 @@ def live_link(
 
 
 for _kind in KINDS.values():
-    if _kind.queue != "live":  # a session is held by `myoface live`
-        solve.command(_name(_kind))(make_command(_kind))
+    solve.command(_name(_kind))(make_command(_kind))

@@ -227,14 +227,14 @@ def test_a_stored_take_is_solved_exactly(
     summary = {"takes": [take]}
     files = [tmp_path / "take_1.csv"]
     options = {"source": "weights"}
-    put_job(place.store, subject, "live_session", files, summary, place.first, options)
+    job = put_job(place.store, subject, "live_session", files, summary, place.first, options)
     page = rig(f"?live={SESSION}")
 
     page.get_by_role("button", name="Solve exactly take 1").click()
 
     dialog = page.get_by_role("dialog")
     dialog.get_by_role("heading", name="Animate by a recording").wait_for()
-    assert '"asset": "take_1"' in dialog.locator("textarea").first.input_value()
+    assert f'"asset": "take_1_{job[:8]}"' in dialog.locator("textarea").first.input_value()
     _picture(page, "live-solve")
 
 

@@ -41,6 +41,8 @@ ASKED: Mapping[str, list[tuple[list[str], dict[str, str]]]] = {
     "control_pairs": [(["--known", "pairs.npz"], {"control_pairs": "pairs.npz"})],
     "controls": [(["--controls", "controls.npz"], {"controls": "controls.npz"})],
     "fibre_muscles": [(["--fibres", "fibres.npz"], {"fibre_muscles": "fibres.npz"})],
+    "live_skin": [(["--skin", "skin.npz"], {"live_skin": "skin.npz"})],
+    "marker_set": [(["--set", "set.json"], {"marker_set": "set.json"})],
     "texture": [(["--texture", "texture.png"], {"texture": "texture.png"})],
     "normals": [(["--normals", "normals.png"], {"normals": "normals.png"})],
     "wrinkles": [(["--wrinkle", "smile=wrinkles.png"], {})],

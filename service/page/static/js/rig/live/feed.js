@@ -16,7 +16,8 @@ export class LiveFeed extends EventTarget {
   #signal;
   #socket = null;
   #reader = null;
-  #isOver = false;
+  /** Whether the session has ended. */
+  isOver = false;
   #ending = new AbortController();
 
   constructor(id, signal) {
@@ -28,10 +29,10 @@ export class LiveFeed extends EventTarget {
 
   /** Stay on the line until the session has ended, or `close`. */
   async open() {
-    for (let ms = FIRST_PAUSE_MS; !this.#isOver && !this.#signal.aborted;) {
+    for (let ms = FIRST_PAUSE_MS; !this.isOver && !this.#signal.aborted;) {
       try {
         if (await this.#listen()) ms = FIRST_PAUSE_MS;
-        if (!this.#isOver) await api.pause(ms, this.#signal);
+        if (!this.isOver) await api.pause(ms, this.#signal);
       } catch (error) {
         if (this.#signal.aborted) return;
         if (HOPELESS.has(error.status)) {
@@ -75,7 +76,7 @@ export class LiveFeed extends EventTarget {
     if (typeof data === "string") {
       const said = JSON.parse(data);
       if (said.type === "ready") this.#reader = new FrameReader(said.layout);
-      if (said.type === "ended") this.#isOver = true;
+      if (said.type === "ended") this.isOver = true;
       this.#tell("message", said);
     } else if (this.#reader) this.#tell("frame", this.#reader.read(data));
   }

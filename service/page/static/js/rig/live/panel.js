@@ -136,6 +136,7 @@ export class LivePanel {
     feed.addEventListener("message", ({ detail }) => this.#hear(id, detail));
     feed.addEventListener("frame", ({ detail }) => this.#take(detail));
     feed.addEventListener("line", ({ detail }) => {
+      if (feed.isOver) return;
       if (!detail) this.#state.set("warning", "Line broken");
       else if (this.#lanes) this.#state.set("running", "Live");
       this.#button.disabled = !detail || !this.#lanes;
@@ -269,8 +270,8 @@ export class LivePanel {
   #tick() {
     if (this.#signal.aborted) return;
     setTimeout(() => this.#tick(), FIGURES_MS);
-    this.#numbers.hidden = !this.#frame;
-    if (!this.#frame) return;
+    this.#numbers.hidden = !this.#frame || this.#feed.isOver;
+    if (this.#numbers.hidden) return;
     const now = this.#figures.now();
     const { error, dropped, isHeld } = this.#frame;
     const words = {

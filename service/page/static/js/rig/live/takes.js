@@ -7,7 +7,7 @@ import { askForJob } from "../../parts/new_job.js";
 import { doing } from "../../parts/toast.js";
 import { sentence } from "../../parts/trouble.js";
 import { upload } from "../../tus.js";
-import { count, when } from "../../words.js";
+import { count, short, when } from "../../words.js";
 
 const KIND = "live_session";
 
@@ -81,10 +81,11 @@ export class LiveTakes {
   /** Make a take a capture of the person, once, and return what is asked for then. */
   async #order(job, take, artifact) {
     const { kind, role } = EXACT[job.options.source];
-    const captures = [(await this.#capture(take, artifact, role)).id];
+    const name = nameOf(take, job);
+    const captures = [(await this.#capture(name, artifact, role)).id];
     const order = { kind, subject_id: this.#rig.subject_id, rig_id: this.#rig.id, captures };
     if (kind !== "animate") return { ...order, marker_set: this.#markerSet(job) };
-    return { ...order, options: { scene: { recording: { asset: nameOf(take) } } } };
+    return { ...order, options: { scene: { recording: { asset: name } } } };
   }
 
   /** Return the marker set that a session of markers read, a capture; null if it was a job's. */
@@ -92,9 +93,8 @@ export class LiveTakes {
     return job.captures?.[0] ?? null;
   }
 
-  async #capture(take, artifact, role) {
+  async #capture(name, artifact, role) {
     const path = `/v1/subjects/${this.#rig.subject_id}/captures`;
-    const name = nameOf(take);
     const known = (await api.all(path, {}, this.#signal)).find((each) => each.name === name && each.role === role);
     if (known) return known;
     const content = await api.bytes(`/v1/artifacts/${artifact.id}`, { signal: this.#signal });
@@ -110,7 +110,7 @@ function row(take, ...behind) {
   return h("li", {}, h("strong", {}, take.name), h("span", { class: "fine" }, about), behind);
 }
 
-/** Return a take's name as a capture may be called. */
-function nameOf({ file }) {
-  return file.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9_.-]+/g, "_").replace(/^[^A-Za-z0-9]+/, "") || "take";
+/** Return a take's name as a capture's: those of two sessions may be called alike. */
+function nameOf({ file }, job) {
+  return `${file.replace(/\.[^.]*$/, "")}_${short(job.id)}`;
 }
