@@ -231,8 +231,12 @@ class CheckProcess:
                 self._send.send(sample)
                 if sample is None:
                     break
+                begin = time.monotonic()
                 self._tell(self._receive.recv())
-                self._next = time.monotonic() + self._options.pause_s
+                now = time.monotonic()
+                # a pause as long as the solve: else frames just after one, when the skin is right,
+                # would be sampled more than others
+                self._next = now + max(self._options.pause_s, now - begin)
         self._is_idle = False
 
 

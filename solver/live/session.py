@@ -50,11 +50,16 @@ class LiveOptions:
 
 
 class RunningError:
-    """Distances of full solves: of the last seconds, and of the whole session."""
+    """Distances of full solves: of the last seconds, and of the whole session.
+
+    A frame counts by the time since the one before it that was solved: hard frames take longer, and
+    are solved more rarely.
+    """
 
     def __init__(self, window_s: float) -> None:
         self._window = window_s
-        self._recent: deque[tuple[float, float]] = deque()
+        self._recent: deque[tuple[float, float, float]] = deque()  # when, error, weight
+        self._last: float | None = None
         self._all = Counts(0.005, 4000)
         self.solved = 0
         self.failed = 0
@@ -67,10 +72,15 @@ class RunningError:
             return
         self.solved += 1
         self._all.add(error_mm)
-        self._recent.append((now, error_mm))
+        weight = 1.0 if self._last is None else min(now - self._last, self._window)
+        self._last = now
+        self._recent.append((now, error_mm, max(weight, 1e-3)))
         while self._recent[0][0] < now - self._window:
             self._recent.popleft()
-        p50, p95 = np.percentile([error for _, error in self._recent], (50, 95)).tolist()
+        _, errors, weights = np.array(self._recent).T
+        order = np.argsort(errors)
+        below = np.cumsum(weights[order]) - 0.5 * weights[order]
+        p50, p95 = np.interp((0.5, 0.95), below / weights.sum(), errors[order]).tolist()
         self.told = p50, p95
 
     def figures(self) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from solver.errors import InputError
 from solver.jobs import run_job
 from solver.kinds.live_channel import Channel, ChannelClosedError
 from solver.kinds.live_messages import GAP, HELD, RESUMED, FollowedFrame, GivenFrame, Message
-from solver.live.session import Counts, LiveOptions, LiveSession
+from solver.live.session import Counts, LiveOptions, LiveSession, RunningError
 from solver.scans.performance import ARKIT_NAMES, read_live_link
 from tests.solver.live.live_rig import live_files
 
@@ -205,7 +205,7 @@ def test_full_solves_measure_the_error_and_mend_it(files, tmp_path):
     finally:
         session.close()
     assert session.errors.solved >= 12
-    errors = [error for _, error in session.errors._recent]
+    errors = [error for _, error, _ in session.errors._recent]
     assert errors[0] > 0.2
     assert errors[-1] < 0.6 * errors[0]
     assert np.isnan(told[0])
@@ -221,3 +221,16 @@ def test_counts_have_the_percentiles_of_what_was_counted():
     assert figures["p50"] == pytest.approx(2.5, abs=0.02)
     assert figures["p95"] == pytest.approx(4.75, abs=0.02)
     assert Counts(1.0, 3).figures((50,)) == {"mean": None, "p50": None}
+
+
+def test_a_frame_counts_by_the_time_that_it_stands_for():
+    errors = RunningError(10.0)
+    for number in range(8):
+        errors.add(0.1, 0.1 * number)
+    for number in range(3):
+        errors.add(0.5, 2.0 + 2.0 * number)
+    assert errors.told[0] == pytest.approx(0.5)
+    errors.add(0.2, 30.0)
+    assert errors.told == (0.2, 0.2)
+    errors.add(None, 31.0)
+    assert errors.figures()["failed"] == 1
