@@ -107,7 +107,9 @@ def read_recording(path: Path) -> dict[str, np.ndarray]:
 def play(skin: bpy.types.Key, weights: dict[str, np.ndarray]) -> None:
     """Key the skin's shapes by weights, a frame each."""
     for block in skin.key_blocks[1:]:
-        block.slider_min, block.slider_max = -1.0, 2.0  # Blender cuts what is beyond
+        # Blender cuts what is beyond
+        block.slider_min = -1.0
+        block.slider_max = 2.0
         for frame, value in enumerate(weights.get(block.name, ())):
             block.value = value
             block.keyframe_insert("value", frame=frame)

@@ -299,7 +299,8 @@ class _Shown:
     def said(self, message: dict[str, Any]) -> None:
         """Take what the session says, and pass it to the station."""
         if message.get("type") == "preparing":
-            phase, fraction = str(message.get("phase")), float(message.get("fraction") or 0.0)
+            phase = str(message.get("phase"))
+            fraction = float(message.get("fraction") or 0.0)
             if phase != self._phase and not self._console.is_terminal:
                 self._console.print(f"live: {phase}")
             self._phase = phase

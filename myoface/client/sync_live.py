@@ -248,7 +248,8 @@ class LiveFace:
 
     def close(self) -> None:
         """Close the connection; the session goes on."""
-        socket, self._socket = self._socket, None
+        socket = self._socket
+        self._socket = None
         if socket is not None:
             with suppress(ApiError):
                 socket.close()

@@ -58,7 +58,8 @@ def tell_frame(
 
     ``ready`` is what the session said of its names.
     """
-    values, pulls = frame.arrays["values"], frame.arrays["contractions"]
+    values = frame.arrays["values"]
+    pulls = frame.arrays["contractions"]
     return {
         "type": "frame",
         "number": frame.number,

@@ -17,7 +17,9 @@ from myoface.live.datagrams import PacketError
 PORT = 11111  # to which the app sends unless it is told another
 VERSION = 6
 LONGEST_NAME = 256  # bytes
-LEAST_RATE, MOST_RATE = 1.0, 1000.0  # frames a second
+# frames a second
+LEAST_RATE = 1.0
+MOST_RATE = 1000.0
 MOST = 1e3  # of a value: weights are about 1, angles at most 2 pi
 
 _EYE = ("Blink", "LookDown", "LookIn", "LookOut", "LookUp", "Squint", "Wide")

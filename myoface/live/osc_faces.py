@@ -81,7 +81,8 @@ def _seconds(message: OscMessage) -> float:
 
 def write_face(frame: LiveFrame, ready: Mapping[str, Any]) -> Iterator[bytes]:
     """Yield the packets of a followed frame; ``ready`` is what the session said of its names."""
-    values, pulls = frame.arrays["values"], frame.arrays["contractions"]
+    values = frame.arrays["values"]
+    pulls = frame.arrays["contractions"]
     messages = [
         OscMessage(VALUE + name, (value,))
         for name, value in zip(ready["sliders"], values, strict=True)

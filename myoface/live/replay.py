@@ -12,7 +12,8 @@ import anyio
 from myoface.client import Timed
 
 BEGIN = 4096  # bytes in which a recording of Live Link Face names its columns
-CLOCK, WEIGHT = b"timecode", b"jawopen"
+CLOCK = b"timecode"
+WEIGHT = b"jawopen"
 
 
 @dataclass(frozen=True)

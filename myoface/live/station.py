@@ -194,7 +194,8 @@ class Station:
             while not is_over or newest is not None:
                 await came.wait()
                 came = anyio.Event()
-                given, newest = newest, None
+                given = newest
+                newest = None
                 if given is not None:
                     await self._give(face, given)
 

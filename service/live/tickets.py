@@ -22,7 +22,8 @@ REFUSALS = Refusals(
     ("ticket.expired", "the ticket's time is over: ask for another"),
 )
 FORM = re.compile(r"([sw])\.([0-9A-Za-z-]{1,36})\.([0-9A-Za-z_-]{22})\.([0-9A-Za-z._-]{1,120})")
-STATION, WATCHER = "s", "w"
+STATION = "s"
+WATCHER = "w"
 
 
 @dataclass(frozen=True)

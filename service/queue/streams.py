@@ -89,7 +89,8 @@ class Inbox:
     def add(self, sent: Sent) -> None:
         """Add a message; where too many frames wait the oldest goes."""
         if sent.station != self._station:
-            self._station, self._number = sent.station, sent.number - 1
+            self._station = sent.station
+            self._number = sent.number - 1
         self.dropped += max(sent.number - self._number - 1, 0)
         self._number = sent.number
         if not sent.is_frame and len(self._waiting) >= MOST_WORDS:

@@ -20,7 +20,8 @@ def vertex_tangents(points: Floats, normals: Floats, places: Floats, faces: Ints
     ``points`` and unit ``normals`` are (k, 3), ``places`` (k, 2) count from the image's lower left
     corner. A vertex without any area in the image has some direction across its normal.
     """
-    along, across = _edges(places[faces]), _edges(points[faces])
+    along = _edges(places[faces])
+    across = _edges(points[faces])
     area = along[:, 0, 0] * along[:, 1, 1] - along[:, 0, 1] * along[:, 1, 0]
     side = np.where(area < 0.0, -1.0, 1.0)
     direction = along[:, 1, 1, None] * across[:, 0] - along[:, 0, 1, None] * across[:, 1]

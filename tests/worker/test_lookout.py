@@ -84,7 +84,8 @@ def test_the_sessions_of_a_dead_worker_go_on_before_their_lease_is_over(
     store: Store, other: subprocess.Popen[bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "work"
-    held, elsewhere = _session(store, "host:1"), _session(store, "elsewhere:1")
+    held = _session(store, "host:1")
+    elsewhere = _session(store, "elsewhere:1")
     assert _look(store, folder, monkeypatch) == []
     os.kill(other.pid, signal.SIGKILL)
     other.wait()
@@ -96,7 +97,8 @@ def test_the_sessions_of_a_dead_worker_go_on_before_their_lease_is_over(
 def test_only_a_worker_elsewhere_is_lost_when_it_is_silent(
     store: Store, other: subprocess.Popen[bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    held, elsewhere = _session(store, "host:1"), _session(store, "elsewhere:1")
+    held = _session(store, "host:1")
+    elsewhere = _session(store, "elsewhere:1")
     time.sleep(2.1)
     assert _look(store, tmp_path / "work", monkeypatch, silence=2.0) == [elsewhere]
     assert (_state(store, held), _state(store, elsewhere)) == (State.RUNNING, State.QUEUED)

@@ -20,7 +20,8 @@ def live_files(folder: Path) -> dict[str, Path]:
     face = rig.face()
     found = builtin_template().shapes
     assert found is not None
-    names, shapes = found.expression_names, found.expressions
+    names = found.expression_names
+    shapes = found.expressions
     layout = face.layout
     directions = np.zeros((layout.size, len(names)))
     opening = layout.places(face.joint.block.name)[0]

@@ -45,7 +45,8 @@ def run(task: Task) -> None:
         if "deaf" in words:
             time.sleep(100)
         if "record" in words:
-            name, recorded = words["record"], []
+            name = words["record"]
+            recorded = []
             (task.out / f"{name}.csv{PART}").touch()
             say(type="recording", name=name)
         if "stop" in words and name:
