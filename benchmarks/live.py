@@ -7,6 +7,8 @@ makes of it afterwards. Figures by source: ``latency_ms`` of a step, ``dropped_p
 that came before the last was ready, ``error_mm`` of the face (mean and p95 over frames),
 ``plain_mm`` the same without mending, ``running_error_ratio`` of the told median to the true one of
 the same ten seconds, ``checks_per_s``. ``--folder`` keeps what is made of the rig for other runs.
+With ``--data``, a service's folder that has a rig, the weights go through a service as well
+(:mod:`benchmarks.live_service`): ``session``, ``sessions``, ``resume`` and ``soak``.
 """
 
 from __future__ import annotations
@@ -23,8 +25,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks import report, subject_fits, subjects
-from benchmarks.documents import Figures, Section, Table
+from benchmarks import live_service, report, subject_fits, subjects
+from benchmarks.documents import Figures, Plot, Section, Table
 from benchmarks.made_takes import Bench, make_truth
 from solver.anatomy.template import Template
 from solver.animation import shape_weights
@@ -40,7 +42,7 @@ from solver.surface import Floats
 from solver.templates.builtin.build import builtin_template
 from solver.templates.ict_facekit import IctPerformance
 
-PARTS = ("library",)
+PARTS = ("library", *live_service.PARTS)
 SOURCES: tuple[Source, ...] = ("markers", "weights", "points")
 MARKERS = 79
 RATE = 60.0
@@ -66,6 +68,7 @@ def main() -> None:
     parser.add_argument("--first", type=float, default=FIRST_S, help="second to begin with")
     parser.add_argument("--pause", type=float, default=0.05, help="seconds between full solves")
     parser.add_argument("--every", type=int, default=1, help="of how many frames one is compared")
+    live_service.add_options(parser)
     report.add_list(parser, "--sources", SOURCES)
     report.add_list(parser, "--parts", PARTS)
     subjects.default_to_data(parser)
@@ -75,7 +78,16 @@ def main() -> None:
 
 
 def run(options: argparse.Namespace) -> Figures:
-    """Measure everything and return the figures."""
+    """Measure all parts that are asked for and return the figures."""
+    found: Figures = {}
+    if "library" in options.parts:
+        found |= _library(options)
+    if options.data is not None:
+        found["service"] = live_service.run(options)
+    return found
+
+
+def _library(options: argparse.Namespace) -> Figures:
     with ExitStack() as stack:
         folder = options.folder or Path(stack.enter_context(TemporaryDirectory()))
         folder.mkdir(parents=True, exist_ok=True)
@@ -255,14 +267,19 @@ def section(figures: Figures) -> Section:
         for source, each in figures.items()
         if source in SOURCES
     ]
+    parts: list[Table | Plot | str] = []
+    if rows:
+        words = (
+            f"On {figures['tets']:,} tets, by the library, at {figures['rate']:g} frames a second: "
+            "the face that was sent against the full solve of the same frame."
+        )
+        parts += [words, Table(header, rows)]
+    if "service" in figures:
+        parts += ["Through a service.", live_service.table(figures["service"])]
     return Section(
         title="Live sessions",
-        compared=(
-            f"A recording played at {figures['rate']:g} frames a second on one subject with "
-            f"{figures['tets']:,} tets, followed by a session of the library: the face that was "
-            "sent against the full solve of the same frame."
-        ),
-        parts=[Table(header, rows)],
+        compared="A recording played at its own pace, and followed by a live session.",
+        parts=parts,
     )
 
 

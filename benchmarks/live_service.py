@@ -6,6 +6,7 @@ has a rig, as ``myoface demo`` leaves one; a station on the same machine sends f
 
 from __future__ import annotations
 
+import argparse
 import math
 import os
 import shutil
@@ -16,23 +17,75 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import fmean
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import anyio
 import numpy as np
 import psutil
 
-from myoface.client import AsyncClient
+from benchmarks.documents import Figures, Table
+from myoface.client import AsyncClient, Client
 from myoface.client.aio_live import AsyncLiveFace
 from myoface.client.live_frames import LiveFrame
 from myoface.stack import Stack
 from service.settings import Settings
+from solver.scans.performance import ARKIT_NAMES, read_live_link
 
+PARTS = ("session", "sessions", "resume", "soak")
+SESSIONS = 4
 WARM_FRAMES = 60  # a process's first frames load what later ones have
 RESUME_WITHIN = 30.0  # s that a session may take to come back
 SOAK_S = 1800.0
 
 Frames = Sequence[Mapping[str, float]]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of these parts."""
+    parser.add_argument("--data", type=Path, help="a service's folder with a rig; it is copied")
+    parser.add_argument("--soak", type=float, default=SOAK_S, help="seconds of the soak")
+
+
+def run(options: argparse.Namespace) -> Figures:
+    """Return the figures of the parts that are asked for, of the newest rig in a folder."""
+    rate = options.rate
+    seconds = options.seconds or 60.0
+    found: Figures = {}
+    with TemporaryDirectory() as folder, service(options.data, Path(folder) / "data") as stack:
+        with Client(stack.url, stack.key) as client:
+            rig = client.rigs()[0].id
+        frames = recorded(options.recording, rate, options.first, seconds)
+        # the first session makes the rig's live skin
+        found["first"] = anyio.run(one_session, stack, rig, frames, rate, 5.0)
+        if "session" in options.parts:
+            found["session"] = anyio.run(one_session, stack, rig, frames, rate, seconds)
+        if "sessions" in options.parts:
+            found["sessions"] = anyio.run(several_sessions, stack, rig, frames, SESSIONS, 30.0)
+        if "resume" in options.parts:
+            found["resume_s"] = {
+                kill.__name__.removeprefix("kill_"): anyio.run(
+                    resume, stack, rig, frames, rate, kill
+                )
+                for kill in (kill_solver, kill_worker, kill_broker)
+            }
+        if "soak" in options.parts:
+            found["soak"] = anyio.run(soak, stack, rig, frames, rate, options.soak)
+    return found
+
+
+def recorded(path: Path, rate: float, first: float, seconds: float) -> list[dict[str, float]]:
+    """Return ARKit's weights of a recording's frames at a rate, from its second ``first`` on."""
+    take = read_live_link(path)
+    times = np.arange(first, min(first + seconds, float(take.times[-1])), 1.0 / rate)
+    columns = [np.interp(times, take.times, column).tolist() for column in take.weights.T]
+    return [dict(zip(ARKIT_NAMES, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
+def table(figures: Figures) -> Table:
+    """Return the figures as a table of the document."""
+    rows = [[part, name, value] for part, told in figures.items() for name, value in told.items()]
+    return Table(["part", "figure", "value"], rows)
 
 
 @dataclass
