@@ -14,20 +14,10 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
-import redis
 import structlog
 
-from service.queue.streams import (
-    KEPT_SECONDS,
-    MOST_OUT,
-    Answered,
-    Fields,
-    Inbox,
-    Names,
-    Sent,
-    parse,
-)
-from service.queue.wakeups import connect
+from service.queue.streams import KEPT_SECONDS, MOST_OUT, TOLD, Answered, Fields, Inbox, Names, Sent
+from service.queue.wakeups import AWAY, connect
 from solver.kinds.live_channel import Channel, ChannelClosedError
 from solver.kinds.live_messages import FollowedFrame, Message, MessageError
 from solver.kinds.live_session import VIEW_FILE
@@ -98,7 +88,7 @@ class Bridge:
             thread.join(self._options.farewell)
         self._channel.close()
         if "ended" in self._told:
-            with suppress(redis.RedisError, OSError):
+            with suppress(*AWAY):
                 self._keep_for(round(self._options.keeps))
         for client in (self._reading, self._writing):
             client.close()
@@ -115,7 +105,7 @@ class Bridge:
                 found: Any = self._reading.xread(
                     {self._names.into: last}, block=round(1000 * self._options.asks)
                 )
-            except (redis.RedisError, OSError) as error:
+            except AWAY as error:
                 self._rest(error)
                 continue
             with self._changed:
@@ -131,7 +121,7 @@ class Bridge:
             try:
                 newest: Any = self._reading.xrevrange(names.out, count=self._options.looks_back)
                 came: Any = self._reading.xrevrange(names.into, count=1)
-            except (redis.RedisError, OSError) as error:
+            except AWAY as error:
                 self._rest(error)
                 continue
             answers = [Answered.read(fields).message for _, fields in newest]
@@ -159,7 +149,7 @@ class Bridge:
                 if first is not None and self._may_have(first):
                     sent = self._inbox.take()
                     if sent.is_frame:
-                        self._in_solver.append(_number_of(sent.message))
+                        self._in_solver.append(sent.message.number)
                     return sent
                 self._changed.wait(self._options.silent)
         return None
@@ -183,7 +173,7 @@ class Bridge:
                 self._publish(None)
                 continue
             with self._changed:
-                self._settle(_number_of(message))
+                self._settle(message.number)
                 self._answered = time.monotonic()
                 self._changed.notify_all()
             if message.is_text:
@@ -198,12 +188,12 @@ class Bridge:
             while self._in_solver.popleft() != number:
                 pass
 
-    def _note(self, words: Message) -> None:
+    def _note(self, message: Message) -> None:
         """Remember what somebody who joins later must be told."""
-        said = parse(words)
+        said = message.words
         kind = said.get("type")
-        if kind in ("preparing", "ready", "recording", "ended"):
-            self._told[kind] = words.data
+        if kind in TOLD:
+            self._told[kind] = message.data
         if kind == "ready":
             self._told.pop("preparing", None)
             self._left.append(VIEW_FILE)
@@ -231,7 +221,7 @@ class Bridge:
             if time.monotonic() - self._kept > KEPT_SECONDS / 4:
                 self._keep_for(KEPT_SECONDS)
                 self._kept = time.monotonic()
-        except (redis.RedisError, OSError) as error:
+        except AWAY as error:
             self._unsent = [each for each in self._unsent if each.is_text][-MOST_OUT:]
             self._rest(error)
 
@@ -258,17 +248,6 @@ class Bridge:
         self._is_told = False
         log.warning("broker.unreachable", error=str(error))
         self._stopping.wait(self._options.rests)
-
-
-def _number_of(message: Message) -> int:
-    """Return the number of a frame, which all kinds of frames have at one place; -1: it has none.
-
-    What comes is a stranger's, as what the solver makes of it may be.
-    """
-    if message.is_text:
-        number = parse(message).get("number")
-        return number if isinstance(number, int) else -1
-    return int.from_bytes(message.data[8:12], "little") if len(message.data) >= 12 else -1
 
 
 def _entries(found: Any) -> list[tuple[bytes, Fields]]:

@@ -5,24 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import redis
 from redis.asyncio import Redis
 from redis.asyncio.retry import Retry
 from redis.backoff import NoBackoff
 
 from service.errors import Problem
 from service.queue.streams import ADD, KEPT_SECONDS, MOST_IN, Answered, Names, Sent
+from service.queue.wakeups import client_url
 
 ASKS = 1.0  # s that the broker is asked for news at a time
 PATIENCE = 0.5  # s that it has to answer otherwise
-AWAY = (redis.RedisError, OSError)
 
 
 class LiveBroker:
-    """Streams of all sessions; every call may raise one of `AWAY`."""
+    """Streams of all sessions; every call may raise one of `wakeups.AWAY`."""
 
     def __init__(self, broker_url: str) -> None:
-        url = broker_url.replace("redis+socket://", "unix://", 1)
+        url = client_url(broker_url)
         once = Retry(NoBackoff(), 0)
         self._client = Redis.from_url(
             url, socket_timeout=PATIENCE, socket_connect_timeout=PATIENCE, retry=once

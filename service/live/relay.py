@@ -18,10 +18,11 @@ from sqlalchemy import or_, select
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from service.live.broker import AWAY, LiveBroker
+from service.live.broker import LiveBroker
 from service.live.tickets import Ticket
 from service.queue.states import FINAL
-from service.queue.streams import LARGEST, Answered, Inbox, Names, Sent, parse
+from service.queue.streams import LARGEST, TOLD, Answered, Inbox, Names, Sent
+from service.queue.wakeups import AWAY
 from service.store.database import Store, clock
 from service.store.models import ApiKey, Job
 from solver.kinds.live_messages import Message
@@ -140,7 +141,9 @@ class Connection:
                 if last is None:
                     last, told = await self._broker.told(self._names)
                     answers: Sequence[Answered] = [
-                        Answered(Message(told[kind], True), 0) for kind in sorted(told, key=_order)
+                        Answered(Message(told[kind.encode()], True), 0)
+                        for kind in TOLD
+                        if kind.encode() in told
                     ]
                 else:
                     last, answers = await self._broker.answers(self._names, last)
@@ -149,7 +152,7 @@ class Connection:
                 continue
             for message in self._newest(answers):
                 await self._say(message)
-                if message.is_text and parse(message).get("type") == "ended":
+                if message.words.get("type") == "ended":
                     await self._close(ENDED, "the session has ended")
                     return
 
@@ -212,7 +215,3 @@ class Connection:
 async def _and_then_cancel(work: Callable[[], Awaitable[None]], scope: CancelScope) -> None:
     await work()
     scope.cancel()
-
-
-def _order(kind: bytes) -> int:
-    return (b"preparing", b"ready", b"recording", b"ended").index(kind)

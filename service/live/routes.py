@@ -27,7 +27,7 @@ from service.errors import Problem, problems, render
 from service.idempotency import Once
 from service.jobs import repository as jobs
 from service.live import service
-from service.live.broker import AWAY, LiveBroker, unreachable
+from service.live.broker import LiveBroker, unreachable
 from service.live.relay import Connection, RelayOptions
 from service.live.schemas import (
     NewSession,
@@ -39,6 +39,7 @@ from service.live.schemas import (
 )
 from service.live.tickets import Ticket, Tickets, address
 from service.queue.states import State
+from service.queue.wakeups import AWAY
 from service.records.audit import record
 from service.rigs.download import StoredArtifact, send
 from service.rigs.repository import artifact_of_job

@@ -14,11 +14,12 @@ from service.errors import Problem, not_found
 from service.jobs import repository as jobs
 from service.jobs import service
 from service.jobs.schemas import NewJob
-from service.live.broker import AWAY, LiveBroker, unreachable
+from service.live.broker import LiveBroker, unreachable
 from service.live.schemas import NewSession
 from service.queue import table
 from service.queue.states import FINAL, State
 from service.queue.streams import Names, Sent
+from service.queue.wakeups import AWAY
 from service.rigs import repository as rigs
 from service.store.database import Store
 from service.store.models import Job

@@ -8,7 +8,6 @@ any more: a session that is lost leaves nothing.
 
 from __future__ import annotations
 
-import json
 from collections import deque
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -21,6 +20,8 @@ MOST_FRAMES = 16  # that wait in a process on their way to a session
 MOST_WORDS = 64  # messages that wait there, beyond which words are not heard
 KEPT_SECONDS = 300  # after the last write
 LARGEST = 1 << 20  # bytes of a message
+# Types of messages of which who joins later is told the last one, in this order
+TOLD = ("preparing", "ready", "recording", "ended")
 
 # Add a message of the station that has the session, or has it still after the broker was away
 ADD = """
@@ -128,12 +129,3 @@ class Answered(NamedTuple):
     def read(cls, fields: Fields) -> Answered:
         """Return the message that an entry has."""
         return cls(Message(fields[b"d"], fields[b"t"] == b"1"), int(fields[b"a"]))
-
-
-def parse(message: Message) -> dict[str, Any]:
-    """Return the object that a text message is; of any other message an empty one."""
-    try:
-        found = json.loads(message.data) if message.is_text else {}
-    except (ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}

@@ -43,6 +43,9 @@ ONCE: dict[str, Any] = {
     "retry": Retry(NoBackoff(), 0),
 }
 
+# What a client of the broker raises that gets no answer
+AWAY = (RedisError, OSError)
+
 log = structlog.get_logger()
 
 
@@ -136,5 +139,9 @@ def wake(session: Session, job_id: str, queue_name: str) -> None:
 
 def connect(broker_url: str, **patience: float) -> redis.Redis:
     """Return a client of the broker itself that asks once; ``patience`` are its own time-outs."""
-    url = broker_url.replace("redis+socket://", "unix://", 1)
-    return redis.Redis.from_url(url, **{**ONCE, **patience})
+    return redis.Redis.from_url(client_url(broker_url), **{**ONCE, **patience})
+
+
+def client_url(broker_url: str) -> str:
+    """Return the broker's address as its own clients write it, where it is a socket's path."""
+    return broker_url.replace("redis+socket://", "unix://", 1)

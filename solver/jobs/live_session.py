@@ -233,7 +233,7 @@ class _Loop:
         self._tell({"type": "preparing", "phase": phase, "fraction": round(part, 3)})
         self._task.progress(Step(phase, 0.1 * part))
         while (message := self._channel.receive(0.0)) is not None:
-            said = _try_object(message)
+            said = message.words
             if "end" in said:
                 self._ending = "asked"
                 raise _EndedError
@@ -309,13 +309,6 @@ def _read_object(data: bytes) -> dict[str, Any]:
     if not isinstance(said, dict):
         raise MessageError("a message is an object of JSON")
     return said
-
-
-def _try_object(message: Message) -> dict[str, Any]:
-    """Return what a message of JSON says, nothing of any other."""
-    with suppress(MessageError):
-        return _read_object(message.data) if message.is_text else {}
-    return {}
 
 
 def _rounded(told: tuple[float, float]) -> dict[str, float | None]:

@@ -7,6 +7,7 @@ object with a ``type`` (``preparing``, ``ready``, ``recording``, ``take``, ``fau
 
 from __future__ import annotations
 
+import json
 import struct
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -18,6 +19,7 @@ LONGEST = 8 << 20  # bytes of a message
 
 _GIVEN = struct.Struct("<4sHHId")
 _FOLLOWED = struct.Struct("<4sHHIdfffI")
+_NUMBER = slice(8, 12)  # where both have it
 
 
 class MessageError(ValueError):
@@ -29,6 +31,24 @@ class Message(NamedTuple):
 
     data: bytes
     is_text: bool = False
+
+    @property
+    def words(self) -> dict[str, Any]:
+        """The object that a text message is; of any other message an empty one."""
+        try:
+            found = json.loads(self.data) if self.is_text else {}
+        except (ValueError, RecursionError):
+            return {}
+        return found if isinstance(found, dict) else {}
+
+    @property
+    def number(self) -> int:
+        """The number of the frame that the message is, -1 of any other; nothing else is read."""
+        if self.is_text:
+            number = self.words.get("number")
+            return number if isinstance(number, int) else -1
+        is_whole = len(self.data) >= _NUMBER.stop
+        return int.from_bytes(self.data[_NUMBER], "little") if is_whole else -1
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import pytest
 from service.access.principal import Principal, Scope
 from service.errors import Problem
 from service.live.tickets import Tickets
-from service.queue.streams import MOST_FRAMES, MOST_WORDS, Answered, Inbox, Sent, parse
-from solver.kinds.live_messages import Message
+from service.queue.streams import MOST_FRAMES, MOST_WORDS, Answered, Inbox, Sent
+from solver.kinds.live_messages import FollowedFrame, GivenFrame, Message
 
 SESSION = "8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11"
 OTHER = "f2a6c0de-7d1b-4a54-8a55-5f9f3c8c9e02"
@@ -70,7 +70,17 @@ def test_entries_are_read_as_they_were_written() -> None:
 
 @pytest.mark.parametrize("text", [b"[1]", b"{", b"\xff", b"1" * 10, b'{"a":' * 100_000])
 def test_words_that_are_no_object_say_nothing(text: bytes) -> None:
-    assert parse(Message(text, True)) == {}
+    assert Message(text, True).words == {}
+    assert Message(text, True).number == -1
+
+
+def test_a_message_has_the_number_of_its_frame() -> None:
+    given = GivenFrame(2**32 - 2, 0.5, b"")
+    followed = FollowedFrame(2**32 - 2, 0.5, 1.0, 0.1, 0.2, 0, 0, b"")
+    said = Message(b'{"number": 4294967294}', is_text=True)
+    sent = (Message(given.pack()), Message(followed.pack()), said)
+    assert [each.number for each in sent] == 3 * [2**32 - 2]
+    assert [Message(data).number for data in (b"", given.pack()[:11])] == [-1, -1]
 
 
 def test_a_ticket_is_good_for_its_session_and_role_until_its_time_is_over(
