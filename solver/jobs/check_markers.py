@@ -90,10 +90,10 @@ def _report_reach(task: Task[CheckMarkers], check: MarkerCheck) -> None:
     assert check.bound is not None
     rig = Rig.load(task.inputs)
     face = rig.face(fastest())
-    markers = [each for each in check.bound.markers if each.part != "ignore"]
+    markers = check.bound.used
     found = reach(face, markers, _prior(task, rig, face))
     names = rig.model.muscle_names
-    known = rest_places(replace(check.bound, markers=tuple(markers)), rig.model.skin)
+    known = rest_places(replace(check.bound, markers=markers), rig.model.skin)
     check.figures |= {
         "muscles": len(names),
         "muscles_determined": found.known_muscles,

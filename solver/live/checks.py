@@ -113,9 +113,8 @@ class MarkerSolver(FullSolver):
     """The fit of a take's markers, by the prior of the template's expressions."""
 
     def __init__(self, face: LiveFace, markers: MarkerSet, seconds: float) -> None:
-        used = [marker for marker in markers.markers if marker.part != "ignore"]
-        places = MarkerPlaces(face.rig.model, used)
-        sigma = np.array([marker.sigma_mm for marker in used])
+        places = MarkerPlaces(face.rig.model, markers.used)
+        sigma = np.array([marker.sigma_mm for marker in markers.used])
         known = prior.from_basis(face.face, face.basis)
         self._session = markers.session
         self._tracker = Tracker(Markers(face.face, places, sigma, known, seconds))

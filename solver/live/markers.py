@@ -39,7 +39,7 @@ class LiveMarkers(LiveSource):
         markers: MarkerSet,
         options: FollowOptions = FOLLOW,
     ) -> None:
-        used = [marker for marker in markers.markers if marker.part != "ignore"]
+        used = markers.used
         self.labels = tuple(marker.label for marker in used)
         self.rows = len(used)
         self.clue_count = 3 * len(used)

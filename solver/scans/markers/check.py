@@ -287,7 +287,7 @@ def _check_labels(
     check: MarkerCheck, markers: MarkerSet, labels: Sequence[str], known: int
 ) -> None:
     """Report labels that only the take has, or only the marker set."""
-    used = [each.label for each in markers.for_take(labels).markers if each.part != "ignore"]
+    used = [each.label for each in markers.for_take(labels).used]
     new = [label for label in labels if label not in markers.labels]
     missing = [label for label in used if label not in labels]
     words = []

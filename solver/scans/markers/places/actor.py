@@ -105,7 +105,7 @@ def carry(
     ``markers.few``, ``markers.flat``, ``markers.mirrored``, or ``markers.other_person`` where the
     markers at rest do not lie like these places, in any size.
     """
-    used = {each.label: each for each in markers.markers if each.part != "ignore"}
+    used = {each.label: each for each in markers.used}
     living = living_labels(take).tolist()
     take = take.pick([number for number in living if take.labels[number] in used])
     on_bone = np.array([used[label].part in BONY for label in take.labels], bool)

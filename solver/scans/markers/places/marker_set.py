@@ -69,6 +69,11 @@ class MarkerSet:
         """Return the markers' labels."""
         return tuple(marker.label for marker in self.markers)
 
+    @property
+    def used(self) -> tuple[Marker, ...]:
+        """Return the markers that sit on the person: all but those that are to be ignored."""
+        return tuple(marker for marker in self.markers if marker.part != "ignore")
+
     @cached_property
     def vertices(self) -> Ints:
         """Return skin vertices (k, 3)."""
@@ -213,9 +218,7 @@ class BoundTake:
     def __init__(
         self, take: Take, markers: MarkerSet, least: int, exchanged: NDArray[np.bool_] | None = None
     ) -> None:
-        self.markers: tuple[Marker, ...] = tuple(
-            marker for marker in markers.markers if marker.part != "ignore"
-        )
+        self.markers = markers.used
         self._take = take
         self._set = markers
         self._session = markers.session
