@@ -8,6 +8,7 @@ expected to what was seen; depth, which a detector guesses, counts less.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 from typing_extensions import override
@@ -25,6 +26,8 @@ from solver.rig.preview.sliders import Sliders
 from solver.scans.markers.places.marker_set import Marker
 from solver.similarity import Similarity, fit_similarity
 from solver.surface import Floats
+
+Number = TypeVar("Number", int, float)
 
 COUNT = 478  # landmarks of a frame, the last ten of the irises
 IMAGE_AXES = np.diag([1.0, -1.0, -1.0])  # of a picture in those of a face that looks out of it
@@ -74,7 +77,7 @@ class LiveLandmarks(LiveSource):
         self._options = options
         self.clue_count = 3 * len(self._used)
         markers = [
-            Marker(name, _three(corners), _shares(weights))
+            Marker(name, _three(corners), _three(weights))
             for name, corners, weights in zip(
                 found.names, found.corners.tolist(), found.weights.tolist(), strict=True
             )
@@ -109,11 +112,6 @@ def _is_landmark(name: str) -> bool:
     return name.isdecimal() and int(name) < COUNT
 
 
-def _three(corners: list[int]) -> tuple[int, int, int]:
-    first, second, third = corners
-    return first, second, third
-
-
-def _shares(weights: list[float]) -> tuple[float, float, float]:
-    first, second, third = weights
+def _three(each: list[Number]) -> tuple[Number, Number, Number]:
+    first, second, third = each
     return first, second, third

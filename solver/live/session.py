@@ -13,7 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +27,11 @@ from solver.live.checks import Checked, CheckOptions, CheckOrder, CheckProcess, 
 from solver.live.mending import Mend
 from solver.live.rigged import Listener, LiveFace
 from solver.live.skin import FILE
-from solver.live.smoothing import OneEuro, Smoother
+from solver.live.smoothing import OneEuro, Smoother, SmoothScales
 from solver.live.source import LiveFrame, LiveSource
+from solver.live.weights import ANGLE_NAMES
 from solver.scans.markers.places.marker_set import MarkerSet
+from solver.scans.performance import ARKIT_NAMES
 from solver.similarity import Similarity, small_motion
 from solver.storage import write_container
 from solver.surface import Floats
@@ -47,6 +49,7 @@ class LiveOptions:
     gap_s: float = 1.0  # from which on what was before counts no more
     window_s: float = 10.0  # of the running error
     farthest: float = 1e5  # of a frame's numbers: what is beyond counts as not seen
+    speeds: SmoothScales = field(default_factory=SmoothScales)
 
 
 class RunningError:
@@ -146,9 +149,9 @@ class LiveSession:
         self._lock = threading.Lock()
         self._smoother: Smoother | None = None
         if options.smooth_hz is not None:
-            scale = np.concatenate(
-                [np.ones(count), np.full(modes, 4.0), np.full(3, 0.5), [40.0] * 3]
-            )
+            speeds = options.speeds
+            each = speeds.value, speeds.amount, speeds.turn_rad, speeds.shift_mm
+            scale = np.repeat(each, (count, modes, 3, 3))
             self._smoother = Smoother(OneEuro(options.smooth_hz), scale)
         self._checks = CheckProcess(order, self._take_check) if order is not None else None
 
@@ -219,8 +222,8 @@ class LiveSession:
         source = self.source
         numbers = np.frombuffer(frame.numbers[: len(frame.numbers) // 4 * 4], "<f4")
         wanted = source.rows * source.width
-        if self.options.source == "weights" and len(numbers) == wanted - 9:
-            numbers = np.append(numbers, np.full(9, np.nan, np.float32))
+        if self.options.source == "weights" and len(numbers) == len(ARKIT_NAMES):
+            numbers = np.append(numbers, np.full(len(ANGLE_NAMES), np.nan, np.float32))
         if len(numbers) != wanted or len(frame.numbers) % 4 or not np.isfinite(frame.seconds):
             message = (
                 f"frame {frame.number} has {len(frame.numbers)} bytes at {frame.seconds:g} s: "

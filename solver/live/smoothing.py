@@ -25,6 +25,16 @@ class OneEuro:
     least: float = 0.5  # alpha: the delay is (1 - alpha) / alpha frames
 
 
+@dataclass(frozen=True)
+class SmoothScales:
+    """Units in which speeds of a face's numbers are counted: about what a lively face moves by."""
+
+    value: float = 1.0  # of a slider
+    amount: float = 4.0  # of a mode of the skin, mm
+    turn_rad: float = 0.5  # of the head
+    shift_mm: float = 40.0
+
+
 class Smoother:
     """Filters rows of numbers (k,) of the sizes ``scale`` (k,)."""
 
