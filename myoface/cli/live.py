@@ -117,7 +117,9 @@ def live(
         options = {"rate": feed.rate, **({"smooth_hz": smooth_hz} if smooth_hz else {})}
         sinks: list[Sink] = [LineSink(sys.stdout)] if stdout else []
         if to_osc is not None:
-            sinks.append(OscSink(*to_osc))
+            sent = OscSink(*to_osc)
+            opened.callback(sent.close)
+            sinks.append(sent)
         told = err if stdout else out
         station = Station(sinks, record=record, waits=feed.waits)
         shown = _Shown(station, feed, told)

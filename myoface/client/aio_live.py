@@ -158,7 +158,6 @@ class AsyncLiveFace:
         self.ready: dict[str, Any] = {}
         self.takes: list[dict[str, Any]] = []
         self.faults: deque[dict[str, Any]] = deque(maxlen=MOST_FAULTS)
-        self.preparing: dict[str, Any] = {}
         self._line = line
         self._options = options
         self._listen = listen
@@ -281,8 +280,6 @@ class AsyncLiveFace:
         self._listen(words)
         if kind == "ready":
             self.ready = words
-        elif kind == "preparing":
-            self.preparing = words
         elif kind == "take":
             self.takes.append(words)
         elif kind == "fault":

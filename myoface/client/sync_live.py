@@ -158,7 +158,6 @@ class LiveFace:
         self.ready: dict[str, Any] = {}
         self.takes: list[dict[str, Any]] = []
         self.faults: deque[dict[str, Any]] = deque(maxlen=MOST_FAULTS)
-        self.preparing: dict[str, Any] = {}
         self._line = line
         self._options = options
         self._listen = listen
@@ -279,8 +278,6 @@ class LiveFace:
         self._listen(words)
         if kind == "ready":
             self.ready = words
-        elif kind == "preparing":
-            self.preparing = words
         elif kind == "take":
             self.takes.append(words)
         elif kind == "fault":

@@ -35,11 +35,7 @@ NAMES = (
     *("mouthLowerDownRight", "mouthUpperUpLeft", "mouthUpperUpRight", "browDownLeft"),
     *("browDownRight", "browInnerUp", "browOuterUpLeft", "browOuterUpRight", "cheekPuff"),
     *("cheekSquintLeft", "cheekSquintRight", "noseSneerLeft", "noseSneerRight", "tongueOut"),
-    *(
-        f"{bone}{angle}"
-        for bone in ("head", "leftEye", "rightEye")
-        for angle in ("Yaw", "Pitch", "Roll")
-    ),
+    *(f"{bone}{angle}" for bone in _BONES for angle in ("Yaw", "Pitch", "Roll")),
 )
 
 _LENGTH = struct.Struct(">i")

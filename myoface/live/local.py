@@ -18,7 +18,6 @@ from myoface.errors import ApiError
 if TYPE_CHECKING:
     from solver.kinds.live_channel import Channel
 
-KEPT = ("live_skin.npz", "expression_basis.npz")  # that a session makes and the next one reads
 LOOK_S = 0.1  # how long a channel is waited for before it is seen whether anybody still waits
 OVER = 1000  # the code of a connection that is closed for good
 
@@ -89,10 +88,12 @@ async def hold_session(
     """
     from solver.jobs import run_job
     from solver.kinds.live_channel import Channel
+    from solver.kinds.live_session import KIND
 
     ours, theirs = Channel.pair()
-    left = {Path(name).stem: out / name for name in KEPT if (out / name).is_file()}
-    given: dict[str, Any] = {**left, **files}
+    kept = [out / name for name in KIND.hands_on]
+    given: dict[str, Any] = {path.stem: path for path in kept if path.is_file()}
+    given |= files
     failed: list[Exception] = []
 
     def work() -> None:

@@ -11,7 +11,6 @@ export class LiveSkin {
     const file = new Container(buffer);
     const [count, vertices] = file.shape("basis");
     const basis = file.array("basis");
-    this.count = vertices;
     this.#basis = Array.from({ length: count }, (_, r) => basis.subarray(3 * vertices * r, 3 * vertices * (r + 1)));
   }
 
