@@ -34,6 +34,8 @@ from myoface.resources import FromJob
 Source = Literal["weights", "markers", "points", "landmarks"]
 LAST_PORT = 65535
 SHOW_S = 0.5  # between two looks at how a session goes
+USUAL_RATE = 60.0  # frames a second, where neither a file nor a person says how many
+MOST_RATE = 240.0  # that a session takes
 MARKER_SET = "markers.json"
 TAKE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")  # names of takes
 
@@ -96,7 +98,7 @@ def live(
         Source | None, Option(help="what the frames of --osc and --stdin are; default: weights")
     ] = None,
     rate: Annotated[
-        float | None, Option(min=1, max=240, help="frames a second; default: the file's, or 60")
+        float | None, Option(min=1, max=MOST_RATE, help="frames a second; default: the file's, or 60")
     ] = None,
     smooth_hz: Annotated[
         float | None, Option(min=0.5, max=120, help="cutoff of a filter of what goes out")
@@ -165,10 +167,10 @@ def _feed(
         raise UsageError("give one of --live-link, --osc, --stdin and --replay")
     if sender is not None and not (live_link or osc):
         raise UsageError("--from is for --live-link and --osc: nothing else comes by the network")
-    usual = rate or 60.0
+    usual = rate or USUAL_RATE
     if replay is not None:
         found = Replay.open(replay, usual)
-        return _Feed(source or found.source, rate or min(found.rate, 240.0), play(found.frames))
+        return _Feed(source or found.source, rate or min(found.rate, MOST_RATE), play(found.frames))
     if stdin:
         refused: list[str] = []
         return _Feed(source or "weights", usual, _lines(refused), waits=True, refused=refused)

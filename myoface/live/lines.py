@@ -1,10 +1,11 @@
 """Faces as lines of JSON: frames and controls that are read, and what a session sends.
 
-A line that is read is a frame, as the session's WebSocket takes them in text, or a control:
+A line that is read is a frame, as the session's WebSocket takes them in text but for its number,
+which the station counts itself, or a control:
 
     {"number": 7, "seconds": 0.1, "weights": {"jawOpen": 0.3}}
     {"seconds": 0.1, "values": [[1.0, 2.0, 3.0], null]}
-    {"record": "take 1"}    {"stop": true}    {"end": true}
+    {"record": "take_1"}    {"stop": true}    {"end": true}
 """
 
 from __future__ import annotations
@@ -54,25 +55,27 @@ def write_line(said: Mapping[str, Any]) -> str:
 def tell_frame(
     frame: LiveFrame, ready: Mapping[str, Any], latency_ms: float | None
 ) -> dict[str, Any]:
-    """Return a followed frame as JSON has it; what is not known is null.
+    """Return a followed frame as a session says it in text; what is not known is null.
 
-    ``ready`` is what the session said of its names.
+    ``ready`` is what the session said of its names. Amounts and skin, which need the session's
+    shapes to be of use, are left out, and the station's ``latency_ms`` is told besides.
     """
-    values = frame.arrays["values"]
-    pulls = frame.arrays["contractions"]
+    arrays = {name: [*map(_rounded, numbers)] for name, numbers in frame.arrays.items()}
+    flags = {"held": frame.is_held, "resumed": frame.is_resumed, "gap": frame.is_gap}
     return {
         "type": "frame",
         "number": frame.number,
         "seconds": frame.seconds,
         "latency_ms": _rounded(latency_ms),
         "solve_ms": _rounded(frame.solve_ms),
-        "error_mm": {"p50": _rounded(frame.error_p50_mm), "p95": _rounded(frame.error_p95_mm)},
+        "error_p50_mm": _rounded(frame.error_p50_mm),
+        "error_p95_mm": _rounded(frame.error_p95_mm),
         "dropped": frame.dropped,
-        "held": frame.is_held,
-        "head": list(map(_rounded, frame.arrays["head"])),
-        "jaw": list(map(_rounded, frame.arrays["jaw"])),
-        "values": dict(zip(ready["sliders"], map(_rounded, values), strict=True)),
-        "contractions": dict(zip(ready["muscles"], map(_rounded, pulls), strict=True)),
+        "flags": [name for name, is_set in flags.items() if is_set],
+        "weights": dict(zip(ready["sliders"], arrays["values"], strict=True)),
+        "contractions": dict(zip(ready["muscles"], arrays["contractions"], strict=True)),
+        "head": [arrays["head"][row : row + 4] for row in range(0, 16, 4)],
+        "jaw": arrays["jaw"],
     }
 
 

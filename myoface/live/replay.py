@@ -25,30 +25,30 @@ class Replay:
     frames: Iterator[Timed]
 
     @classmethod
-    def open(cls, path: Path, rate: float = 60.0) -> Replay:
+    def open(cls, path: Path, rate: float) -> Replay:
         """Open a recording of Live Link Face, a take of markers, or a performance (.npy).
 
-        A performance says no rate: it has the one that is given, in frames a second. Raises as the
-        solver's readers do.
+        A file that says no rate, as a performance, has the one that is given, in frames a second.
+        Raises as the solver's readers do.
         """
         with path.open("rb") as file:
             begin = file.read(BEGIN).lower()
         if path.suffix.lower() == ".npy":
             return cls._points(path, rate)
         if CLOCK in begin and WEIGHT in begin:
-            return cls._weights(path)
+            return cls._weights(path, rate)
         return cls._markers(path, rate)
 
     @classmethod
-    def _weights(cls, path: Path) -> Replay:
+    def _weights(cls, path: Path, rate: float) -> Replay:
         from solver.scans.performance import ARKIT_NAMES, read_live_link
 
         take = read_live_link(path)
         times = take.times.tolist()
         rows = zip(times, take.weights.tolist(), strict=True)
         frames = (Timed(at, dict(zip(ARKIT_NAMES, row, strict=True))) for at, row in rows)
-        rate = (len(times) - 1) / times[-1] if len(times) > 1 else 60.0
-        return cls("weights", rate, frames)
+        known = (len(times) - 1) / times[-1] if len(times) > 1 else rate
+        return cls("weights", known, frames)
 
     @classmethod
     def _markers(cls, path: Path, rate: float) -> Replay:

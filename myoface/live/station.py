@@ -20,7 +20,7 @@ from myoface.client import LiveFrame, Timed
 from myoface.client.aio_live import ENDED, AsyncLiveFace
 from myoface.errors import ApiError
 
-Given = Timed | Mapping[str, Any]  # a frame, or a wish such as {"record": "take 1"}
+Given = Timed | Mapping[str, Any]  # a frame, or a wish such as {"record": "take_1"}
 
 OVER = (ENDED, "live.over")  # errors that tell the session's end
 

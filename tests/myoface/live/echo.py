@@ -15,7 +15,7 @@ from solver.kinds.live_messages import FollowedFrame, GivenFrame
 
 NAMES = ("jawOpen", "mouthLeft")
 LAYOUT = {"head": [4, 4], "jaw": [5], "values": [2], "amounts": [1], "contractions": [1]}
-READY = {
+READY: dict[str, Any] = {
     "type": "ready",
     "source": "weights",
     "expects": {"rows": 2, "width": 1, "labels": list(NAMES)},

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import socket
 import struct
 from array import array
 from collections.abc import AsyncIterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
@@ -16,13 +18,16 @@ import numpy as np
 import pytest
 
 from myoface.client import LiveFrame, Timed
+from myoface.client.live_frames import read_frame
 from myoface.live.datagrams import PacketError, Port
-from myoface.live.lines import read_line
+from myoface.live.lines import read_line, tell_frame
 from myoface.live.live_link import read_packet
 from myoface.live.osc import OscMessage, read_osc
 from myoface.live.replay import Replay, play
 from myoface.live.sinks import LineSink, OscSink
 from myoface.live.station import Given, Station, Tally
+from solver.kinds.live_messages import GAP, HELD, FollowedFrame
+from solver.live.texts import describe_frame
 from tests.myoface.live.echo import READY, EchoSocket, echo_face
 from tests.myoface.live.packets import live_link_packet
 
@@ -55,7 +60,7 @@ def test_packets_of_the_allowed_address_become_faces_and_others_are_counted() ->
     assert tally.ended == "idle"
     said = [json.loads(line) for line in lines.getvalue().splitlines()]
     assert [each["type"] for each in said] == ["ready", *(["frame"] * 20), "ended"]
-    assert all(each["values"]["jawOpen"] < 0.5 for each in said[1:-1])
+    assert all(each["weights"]["jawOpen"] < 0.5 for each in said[1:-1])
     assert port.counts.garbage > 10
     assert port.counts.foreign > 10
     assert port.counts.good >= 20
@@ -182,6 +187,25 @@ def test_nobody_at_the_other_end_of_osc_is_no_fault() -> None:
     for number in range(3):
         sink.face(frame(number), None)
     sink.close()
+
+
+def test_a_line_says_a_frame_as_the_session_does_in_text() -> None:
+    arrays = {"head": range(16), "jaw": range(5), "values": (0.5, 0.25), "contractions": [0.125]}
+    shapes = {each["name"]: tuple(each["shape"]) for each in READY["layout"]}
+    names = SimpleNamespace(names=READY["sliders"])
+    rig = SimpleNamespace(model=SimpleNamespace(muscle_names=READY["muscles"]))
+    session: Any = SimpleNamespace(
+        layout=tuple((name, shapes[name]) for name in arrays),
+        face=SimpleNamespace(live=names, rig=rig),
+    )
+    numbers = b"".join(array("f", each).tobytes() for each in arrays.values())
+    sent = FollowedFrame(7, 0.5, 1.5, math.nan, 0.25, 2, HELD | GAP, numbers)
+    layout = [{"name": name, "shape": shape} for name, shape in session.layout]
+
+    line = tell_frame(read_frame(sent.pack(), layout), READY, 3.0)
+
+    assert line.pop("latency_ms") == 3.0
+    assert line == describe_frame(sent, session)
 
 
 @pytest.mark.parametrize(
