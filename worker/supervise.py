@@ -158,8 +158,9 @@ class Supervisor:
             if process.channel is not None:
                 if self._standby:
                     self._standby.fill()  # sessions are long: not only when they have ended
-                job = claim.job_id, claim.attempt
-                self._bridge = Bridge(process.channel, self._settings.broker, *job)
+                self._bridge = Bridge(
+                    process.channel, self._settings.broker, claim.job_id, claim.attempt
+                )
                 self._bridge.start()
             code = self._watch(claim, process, folder, time.monotonic() + limit)
             if code is None:

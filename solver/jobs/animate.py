@@ -97,8 +97,16 @@ def _staged(
         tracks: MuscleTracks | None = None,
     ) -> tuple[Stage, RecordedDrives, ProgressCallback]:
         playing = part_of(task.progress, begun, EXPORT)
-        driven = S, drives, given.linear_solver, None, firmer, tracks
-        stage = Stage(scene, places, *driven, progress=part_of(playing, 0.0, CARRIED))
+        stage = Stage(
+            scene,
+            places,
+            S,
+            drives,
+            given.linear_solver,
+            firmer=firmer,
+            tracks=tracks,
+            progress=part_of(playing, 0.0, CARRIED),
+        )
         return stage, drives, playing
 
     def check(drives: RecordedDrives) -> None:

@@ -69,8 +69,16 @@ def _by_muscles(
     names = None if fibres is None else strip_names(rig.model.muscle_names, fibres)
     drives = drives_of(*parts, rig.model, rig.weights, performances, names, limits)
     firmer = 1.0 if performances is None else max(float(performances.curve.max()), 1.0)
-    driven = rig.weights, drives, given.linear_solver, fibres, firmer
-    stage = Stage(given.scene, places, *driven, progress=of_neck)
+    stage = Stage(
+        given.scene,
+        places,
+        rig.weights,
+        drives,
+        given.linear_solver,
+        fibres,
+        firmer,
+        progress=of_neck,
+    )
     played = performances.performances if performances else ()
     return stage, {"performances": [*map(_told, played)]}
 
@@ -84,8 +92,16 @@ def _by_tracks(
     shapes = TrackedShapes.of(rig.model, tracks)
     played = shape_performance_of(given.scene, shapes, places)
     drives = track_drives_of(given.scene, shapes, places, played)
-    driven = rig.weights, drives, given.linear_solver, None, TrackContact.firmer, tracks
-    stage = Stage(given.scene, places, *driven, progress=of_neck)
+    stage = Stage(
+        given.scene,
+        places,
+        rig.weights,
+        drives,
+        given.linear_solver,
+        firmer=TrackContact.firmer,
+        tracks=tracks,
+        progress=of_neck,
+    )
     told = [_told(played)] if played else []
     return stage, {"shapes": len(tracks.names), "performances": told}
 

@@ -222,8 +222,9 @@ class Stage:
         self.steps_per_frame = scene.steps_per_frame or (STEPS if dynamic else 1)
         self.neck: CarriedHead | None = None
         if scene.neck is not None:
-            driven = drives, self.steps_per_frame, scene.forces
-            self.neck = CarriedHead(scene.neck, places, self.model, *driven, progress)
+            self.neck = CarriedHead(
+                scene.neck, places, self.model, drives, self.steps_per_frame, scene.forces, progress
+            )
         begin = float(drives.times[0])
         objects = self._seen(self.drive(begin, drives(begin)))
         names = [each.name for each in self.objects]

@@ -84,8 +84,7 @@ class CarriedHead:
         pushes = [push_of(push, places) for push in entry.pushes]
         if entry.muscles:
             gravity = gravity_of(forces)
-            acting = gravity, pushes
-            self.motion = follow(self.placed.neck, goal, self._options, *acting, progress)
+            self.motion = follow(self.placed.neck, goal, self._options, gravity, pushes, progress)
         else:
             self.motion = _share_out(self.placed.neck, goal)
         self.pose = lru_cache(maxsize=4)(self._pose)
