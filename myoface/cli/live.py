@@ -98,7 +98,8 @@ def live(
         Source | None, Option(help="what the frames of --osc and --stdin are; default: weights")
     ] = None,
     rate: Annotated[
-        float | None, Option(min=1, max=MOST_RATE, help="frames a second; default: the file's, or 60")
+        float | None,
+        Option(min=1, max=MOST_RATE, help="frames a second; default: the file's, or 60"),
     ] = None,
     smooth_hz: Annotated[
         float | None, Option(min=0.5, max=120, help="cutoff of a filter of what goes out")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from anyio import sleep, to_thread
@@ -96,13 +97,13 @@ async def end(store: Store, broker: LiveBroker, session_id: str) -> bool:
     found = await to_thread.run_sync(state)
     if found in FINAL:
         return False
+    is_told = False
     if found is State.RUNNING:
-        try:
+        with suppress(*AWAY):
             await broker.tell(Names.of(session_id), _own(END))
-        except AWAY:
-            found = State.QUEUED  # nobody can tell it
+            is_told = True
     until = time.monotonic() + ENDS_WITHIN
-    while found is State.RUNNING and time.monotonic() < until:
+    while is_told and found is State.RUNNING and time.monotonic() < until:
         await sleep(PAUSE)
         found = await to_thread.run_sync(state)
     if found not in FINAL:

@@ -246,7 +246,7 @@ def test_a_recording_of_live_link_face_is_played_at_its_rate(tmp_path: Path) -> 
     async def run_replay(replay: Replay) -> list[tuple[float, Timed]]:
         return [(anyio.current_time(), frame) async for frame in play(replay.frames)]
 
-    replay = Replay.open(tmp_path / "take.csv")
+    replay = Replay.open(tmp_path / "take.csv", 60.0)
     played = anyio.run(run_replay, replay)
 
     assert (replay.source, round(replay.rate)) == ("weights", 30)

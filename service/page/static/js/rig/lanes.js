@@ -4,10 +4,10 @@ import { h, setText, show } from "../dom.js";
 import { count, plain } from "../words.js";
 import { STATES } from "./marker_solids.js";
 
-const HELD = "#c98a12";
+export const HELD = "#c98a12";
 const MOST_NAMED = 4;
-const PULL = "33, 102, 172";
-const FULL = 0.4; // contraction that has the full colour, as a slider at 1
+export const PULL = "33, 102, 172";
+export const FULL = 0.4; // contraction that has the full colour, as a slider at 1
 const MOST_PULLS = 12;
 const LEAST_PULL = 0.05; // of a muscle at its most that has a lane
 

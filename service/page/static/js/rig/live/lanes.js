@@ -2,15 +2,13 @@
 
 import { h, setText, show } from "../../dom.js";
 import { plain } from "../../words.js";
+import { FULL, HELD, PULL } from "../lanes.js";
 
 const WINDOW_S = 10;
 const COLUMNS = 300;
 const LANES = 12;
-const FULL = 0.4; // contraction that has the full colour, as in the lanes of a sequence
 const LEAST = 0.03; // of a muscle that gets a lane
 const LASTS = 0.995; // of a muscle's strength is left a frame later
-const PULL = "33, 102, 172";
-const HELD = "#c98a12";
 
 /** Rolling lanes of a session's muscles. */
 export class LiveLanes {

@@ -84,13 +84,9 @@ export class LiveTakes {
     const name = nameOf(take, job);
     const captures = [(await this.#capture(name, artifact, role)).id];
     const order = { kind, subject_id: this.#rig.subject_id, rig_id: this.#rig.id, captures };
-    if (kind !== "animate") return { ...order, marker_set: this.#markerSet(job) };
+    // the marker set that the session read, if it was a capture
+    if (kind !== "animate") return { ...order, marker_set: job.captures?.[0] ?? null };
     return { ...order, options: { scene: { recording: { asset: name } } } };
-  }
-
-  /** Return the marker set that a session of markers read, a capture; null if it was a job's. */
-  #markerSet(job) {
-    return job.captures?.[0] ?? null;
   }
 
   async #capture(name, artifact, role) {
