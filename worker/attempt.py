@@ -100,11 +100,12 @@ class AttemptFolder:
             _fetch(store, _as_input("result so far", name, sha256), kept)
             self._written[name] = kept.stat().st_mtime_ns
             self._replaceable[name] = kept.stat().st_size
+        has_takes = self._rescue_takes()
         job = {
             "kind": self._claim.kind,
             "inputs": inputs,
             "options": self._claim.options,
-            "resume": bool(self._claim.frames or self._claim.kept) | self._rescue_takes(),
+            "resume": bool(self._claim.frames or self._claim.kept or has_takes),
         }
         (self.path / "job.json").write_text(json.dumps(job))
         self._staged = self._disk_bytes()

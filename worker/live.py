@@ -49,12 +49,12 @@ class Bridge:
         broker_url: str,
         session_id: str,
         attempt: int,
-        options: BridgeOptions | None = None,
+        options: BridgeOptions = BridgeOptions(),
     ) -> None:
         self._channel = channel
         self._names = Names.of(session_id)
         self._attempt = attempt
-        self._options = options or BridgeOptions()
+        self._options = options
         patience = 1 + self._options.asks
         self._reading, self._writing = (
             connect(broker_url, socket_timeout=patience) for _ in range(2)

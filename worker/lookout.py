@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import structlog
 from sqlalchemy import select
@@ -126,11 +126,5 @@ class Lookout(threading.Thread):
             held = select(Job.id, Job.lease_owner, Job.leased_at).where(
                 Job.queue == LIVE, Job.state.in_(HELD)
             )
-            found = [_Held(*map(_require, row)) for row in session.execute(held)]
+            found = [_Held(*row) for row in session.execute(held)]
         return waiting, found, moment
-
-
-def _require(value: Any) -> Any:
-    """Return what a session that is held has."""
-    assert value is not None
-    return value

@@ -22,8 +22,8 @@ from mathutils import Matrix, Quaternion, Vector
 
 SKIN = "skin"
 HALF = "_half"
+# Blender's axes by glTF's: y up becomes z up, the face looks along -y
 TO_BLENDER = Matrix(((1, 0, 0, 0), (0, 0, -1, 0), (0, 1, 0, 0), (0, 0, 0, 1)))
-"""Blender's axes by glTF's: y up becomes z up, the face looks along -y."""
 
 
 def main() -> None:

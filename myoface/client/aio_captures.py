@@ -115,9 +115,9 @@ class AsyncCaptures(AsyncAccess):
 
         ``registered`` scans have the template's vertices, which are counted first; others are what
         the scanner made. ``landmarks`` is a file, of a photograph the JSON of what is known of it.
-        An OBJ goes with its MTL files and images as a ZIP. ``mask`` is a PNG that is white where a
-        photograph counts. The service deletes the capture ``replaces`` in the same step that adds
-        this one.
+        A raw OBJ or PLY goes with its MTL files and images as a ZIP. ``mask`` is a PNG that is
+        white where a photograph counts. The service deletes the capture ``replaces`` in the same
+        step that adds this one.
         :mod:`myoface.names` says what name and role a file has; the title is what the file is
         called.
         """

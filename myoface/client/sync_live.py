@@ -144,11 +144,10 @@ class _ServiceLine:
 class LiveFace:
     """The face of a live session: frames go to it, and faces come back.
 
-    A line that breaks is mended by ``line``; frames meanwhile are lost. One task may send while
-    another receives. ``ready`` is what the
-    session said when it was: the ``layout`` of its frames, ``expects``, its ``sliders`` and
-    ``muscles``. ``takes`` and ``faults`` are what it said of takes and of frames that it could not
-    use.
+    Where a connection breaks ``line`` makes another; frames meanwhile are lost. One task may send
+    while another receives. ``ready`` is what the session said when it was: the ``layout`` of its
+    frames, ``expects``, its ``sliders`` and ``muscles``. ``takes`` and ``faults`` are what it said
+    of takes and of frames that it could not use.
     """
 
     def __init__(

@@ -19,7 +19,7 @@ MOST_OUT = 64  # that wait for the slowest of those who watch
 MOST_FRAMES = 16  # that wait in a process on their way to a session
 MOST_WORDS = 64  # messages that wait there, beyond which words are not heard
 KEPT_SECONDS = 300  # after the last write
-LARGEST = 1 << 20  # bytes of a message
+LARGEST = 1 << 20  # bytes of a message of a station's
 # Types of messages of which who joins later is told the last one, in this order
 TOLD = ("preparing", "ready", "recording", "ended")
 
@@ -53,8 +53,8 @@ class Names(NamedTuple):
 class Sent(NamedTuple):
     """A message of a station's: which one it is of its connection, counted before any is dropped.
 
-    One of the service's own has the number 0.
-    A message that is no ``is_frame`` is never dropped for a newer one.
+    One of the service's own has the number 0. A message that is no ``is_frame`` is never dropped
+    for a newer one.
     """
 
     message: Message

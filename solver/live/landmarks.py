@@ -19,7 +19,7 @@ from solver.fitting.markers.robust import RobustOptions
 from solver.live.follow import FollowOptions, PlaceFollower, ReducedPlaces
 from solver.live.markers import as_live
 from solver.live.points import PointOptions, RobustPoints
-from solver.live.source import LiveFrame, LiveSource
+from solver.live.source import FollowedFace, LiveSource
 from solver.model import SubjectModel
 from solver.rig.frames.skin_basis import ReducedSkin
 from solver.rig.preview.sliders import Sliders
@@ -89,7 +89,7 @@ class LiveLandmarks(LiveSource):
         self._follower = PlaceFollower(self._places, sigma, len(sliders), judge, own)
 
     @override
-    def step(self, numbers: Floats, seconds: float) -> LiveFrame:
+    def step(self, numbers: Floats, seconds: float) -> FollowedFace:
         seen = numbers[self._used] @ IMAGE_AXES
         known = np.isfinite(seen).all(axis=1)
         if known.sum() < self._options.least:

@@ -13,7 +13,7 @@ from solver.live.follow import (
     PlaceFollower,
     ReducedPlaces,
 )
-from solver.live.source import LiveFrame, LiveSource
+from solver.live.source import FollowedFace, LiveSource
 from solver.model import SubjectModel
 from solver.rig.frames.skin_basis import ReducedSkin
 from solver.rig.preview.sliders import Sliders
@@ -50,7 +50,7 @@ class LiveMarkers(LiveSource):
         self._follower = PlaceFollower(self.places, sigma, len(sliders), judge, options)
 
     @override
-    def step(self, numbers: Floats, seconds: float) -> LiveFrame:
+    def step(self, numbers: Floats, seconds: float) -> FollowedFace:
         return as_live(self.follow(numbers, seconds))
 
     def follow(self, points: Floats, seconds: float) -> FollowedPoints:
@@ -66,8 +66,8 @@ class LiveMarkers(LiveSource):
         self._follower.resume(values, head)
 
 
-def as_live(found: FollowedPoints) -> LiveFrame:
+def as_live(found: FollowedPoints) -> FollowedFace:
     """Return followed points as a session has them."""
     left = np.nan_to_num(found.residuals.ravel())
     is_held = not np.isin(found.states, ("missing", "outlier"), invert=True).any()
-    return LiveFrame(found.values, found.head, left, is_held)
+    return FollowedFace(found.values, found.head, left, is_held)

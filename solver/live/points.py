@@ -17,7 +17,7 @@ from solver.live.follow import (
     ReducedPlaces,
 )
 from solver.live.markers import as_live
-from solver.live.source import LiveFrame, LiveSource
+from solver.live.source import FollowedFace, LiveSource
 from solver.model import SubjectModel
 from solver.rig.frames.skin_basis import ReducedSkin
 from solver.rig.preview.sliders import Sliders
@@ -84,7 +84,7 @@ class LivePoints(LiveSource):
         self._follower = PlaceFollower(places, sigma, len(sliders), judge, options.follow)
 
     @override
-    def step(self, numbers: Floats, seconds: float) -> LiveFrame:
+    def step(self, numbers: Floats, seconds: float) -> FollowedFace:
         return as_live(self._follower.step(numbers[self._used], seconds))
 
     @override

@@ -28,7 +28,7 @@ from solver.live.mending import Mend
 from solver.live.rigged import Listener, LiveFace
 from solver.live.skin import FILE
 from solver.live.smoothing import OneEuro, Smoother, SmoothScales
-from solver.live.source import LiveFrame, LiveSource
+from solver.live.source import FollowedFace, LiveSource
 from solver.live.weights import ANGLE_NAMES
 from solver.scans.markers.places.marker_set import MarkerSet
 from solver.scans.performance import ARKIT_NAMES
@@ -328,8 +328,8 @@ class LiveSession:
         return passed or usual, flags
 
     def _smooth(
-        self, followed: LiveFrame, amounts: Floats, seconds: float
-    ) -> tuple[LiveFrame, Floats]:
+        self, followed: FollowedFace, amounts: Floats, seconds: float
+    ) -> tuple[FollowedFace, Floats]:
         """Return a frame and its amounts as they go out."""
         if self._smoother is None:
             return followed, amounts
@@ -338,7 +338,7 @@ class LiveSession:
         values, amounts, twist = np.split(smooth, np.cumsum([len(each) for each in parts[:2]]))
         return replace(followed, values=values, head=small_motion(twist)), amounts
 
-    def _arrays(self, shown: LiveFrame, amounts: Floats) -> list[Floats]:
+    def _arrays(self, shown: FollowedFace, amounts: Floats) -> list[Floats]:
         """Return a frame's arrays in the order of the layout."""
         head = np.eye(4)
         head[:3, :3] = shown.head.rotation

@@ -10,7 +10,7 @@ from solver.surface import Floats
 
 
 @dataclass(frozen=True)
-class LiveFrame:
+class FollowedFace:
     """A face followed in one frame.
 
     ``clues`` (d,) tell beside the values how the flesh differs from the reduced skin: what is left
@@ -31,7 +31,7 @@ class LiveSource(Protocol):
     labels: tuple[str, ...]  # of the rows, none where they have numbers alone
     clue_count: int  # d
 
-    def step(self, numbers: Floats, seconds: float) -> LiveFrame:
+    def step(self, numbers: Floats, seconds: float) -> FollowedFace:
         """Follow a frame (rows, width), NaN for what was not seen, so long after the last one."""
 
     def begin(self) -> None:

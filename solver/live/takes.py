@@ -30,7 +30,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
 @dataclass(frozen=True)
-class TakeOptions:
+class TakeLimits:
     """Bounds of a take."""
 
     most_bytes: int = 4 << 30
@@ -58,7 +58,7 @@ class TakeWriter:
         source: Source,
         labels: Sequence[str],
         shape: tuple[int, int],
-        options: TakeOptions = TakeOptions(),
+        options: TakeLimits = TakeLimits(),
     ) -> None:
         self.name = name
         self.frames = 0
@@ -113,7 +113,7 @@ def check_name(name: object, folder: Path, source: Source) -> str:
     return chosen
 
 
-def finish_part(path: Path, options: TakeOptions = TakeOptions()) -> LeftTake | None:
+def finish_part(path: Path, options: TakeLimits = TakeLimits()) -> LeftTake | None:
     """Make the file of a take of what was recorded of it; None where it has no whole frame."""
     with path.open("rb") as stream:
         header = json.loads(stream.readline())
@@ -144,7 +144,7 @@ class _Recorded:
     seconds: Floats
     numbers: NDArray[np.float32]
     rows: NDArray[np.int64]
-    options: TakeOptions
+    options: TakeLimits
 
     def rate(self) -> float:
         """Return the usual number of frames a second; 60 of a single frame."""

@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from solver.animation import neck, turn_about
 from solver.fitting.prior import kept_part
-from solver.live.source import LiveFrame, LiveSource
+from solver.live.source import FollowedFace, LiveSource
 from solver.model import SubjectModel
 from solver.scans.performance import ANGLES, ARKIT_NAMES, head_turn
 from solver.similarity import IDENTITY, Similarity
@@ -47,7 +47,7 @@ class LiveWeights(LiveSource):
         self._head = IDENTITY
 
     @override
-    def step(self, numbers: Floats, seconds: float) -> LiveFrame:
+    def step(self, numbers: Floats, seconds: float) -> FollowedFace:
         column = numbers[:, 0]
         found = column[self._columns]
         told = np.isfinite(found) & self._driven
@@ -57,7 +57,7 @@ class LiveWeights(LiveSource):
         turns = bool(np.isfinite(angles).all())
         if turns:
             self._head = turn_about(self._neck, head_turn(angles), np.zeros(3))
-        return LiveFrame(self._values, self._head, np.zeros(0), not told.any() and not turns)
+        return FollowedFace(self._values, self._head, np.zeros(0), not told.any() and not turns)
 
     @override
     def begin(self) -> None:
