@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from typing_extensions import override
 
+from solver.anatomy.warp import spread
 from solver.fitting.markers.robust import JudgedFrame
 from solver.fitting.markers.term import MarkerPlaces, MarkerTerm
 from solver.live.follow import (
@@ -23,7 +24,7 @@ from solver.rig.frames.skin_basis import ReducedSkin
 from solver.rig.preview.sliders import Sliders
 from solver.scans.markers.places.marker_set import Marker
 from solver.similarity import Similarity, robust_weights
-from solver.surface import Floats, Ints
+from solver.surface import Floats
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,9 @@ class LivePoints(LiveSource):
         options: PointOptions = PointOptions(),
     ) -> None:
         self.rows = len(model.skin.vertices)
-        self._used = spread_vertices(model, options.count)
+        points = model.skin.vertices[model.face]
+        nose = int(np.argmax(points[:, 2]))  # its tip is foremost
+        self._used = np.sort(model.face[spread(points, options.count, nose)])
         self.clue_count = 3 * len(self._used)
         markers = [
             Marker(str(vertex), (vertex, *_neighbours(model, vertex)), sigma_mm=options.sigma_mm)
@@ -94,17 +97,6 @@ class LivePoints(LiveSource):
     @override
     def resume(self, values: Floats, head: Similarity) -> None:
         self._follower.resume(values, head)
-
-
-def spread_vertices(model: SubjectModel, count: int) -> Ints:
-    """Return so many vertices of the face, each as far from those before it as there is one."""
-    points = model.skin.vertices[model.face]
-    chosen = [int(np.argmax(points[:, 2]))]  # the nose's tip: it is foremost
-    away = np.full(len(points), np.inf)
-    for _ in range(min(count, len(points)) - 1):
-        away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
-        chosen.append(int(np.argmax(away)))
-    return np.asarray(np.sort(model.face[chosen]))
 
 
 def _neighbours(model: SubjectModel, vertex: int) -> tuple[int, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -31,11 +31,10 @@ from solver.mechanics.boundary import five_numbers
 from solver.mechanics.linear import fastest
 from solver.photo.mesh_points import landmark_points
 from solver.rig import Rig
+from solver.rig.preview import Listener
 from solver.scans.markers.places.marker_set import MarkerSet
 from solver.surface import Floats
 from solver.templates.builtin.build import builtin_template
-
-Listener = Callable[[str, float], None]  # gets what is being done, and the part that is
 
 
 @dataclass(frozen=True, eq=False)

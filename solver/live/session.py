@@ -25,11 +25,12 @@ from solver.kinds.live_messages import GAP, HELD, RESUMED, FollowedFrame, GivenF
 from solver.kinds.live_session import VIEW_FILE, Source
 from solver.live.checks import Checked, CheckOptions, CheckOrder, CheckProcess, Sample
 from solver.live.mending import Mend
-from solver.live.rigged import Listener, LiveFace
+from solver.live.rigged import LiveFace
 from solver.live.skin import FILE
 from solver.live.smoothing import OneEuro, Smoother, SmoothScales
 from solver.live.source import FollowedFace, LiveSource
 from solver.live.weights import ANGLE_NAMES
+from solver.rig.preview import Listener
 from solver.scans.markers.places.marker_set import MarkerSet
 from solver.scans.performance import ARKIT_NAMES
 from solver.similarity import Similarity, small_motion

@@ -8,7 +8,7 @@ a rig, which takes minutes, and kept as ``live_skin.npz``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +23,7 @@ from solver.fitting.sensitivity import Sensitivity
 from solver.kinds import FILES
 from solver.model import SubjectModel
 from solver.rig.frames.skin_basis import ReducedSkin, ReductionOptions, modes_of
-from solver.rig.preview import PreviewOptions, make_live_preview
+from solver.rig.preview import Listener, PreviewOptions, make_live_preview, skin_weights
 from solver.rig.preview.sliders import Control, Sliders
 from solver.storage import Archive
 from solver.surface import Floats
@@ -78,7 +78,7 @@ class LiveSkin:
         face: Face,
         names: Sequence[str],
         basis: ExpressionBasis,
-        listen: Callable[[str, float], None],
+        listen: Listener,
         options: LiveSkinOptions = LIVE_SKIN,
     ) -> LiveSkin:
         """Simulate poses of a face and reduce them; raises as :func:`make_live_preview`."""
@@ -146,19 +146,12 @@ def muscle_modes(
     flesh = moved.reshape(len(face.model.rest), 3, -1)
     by_jaw = directions[face.layout.joint_places]
     motions = np.moveaxis(face.skin_rates(flesh, face.rest.pose.b, by_jaw), 2, 0)
-    weights = _weights(face.model)
+    weights = skin_weights(face.model, options.preview)
     rows = SkinProjection(face.model, modes).rows
     known = motions.reshape(len(motions), -1) @ rows.T
     left = motions - np.tensordot(known, modes, 1)
     found = modes_of(left, weights, ReductionOptions(modes=options.spare))
     return np.asarray(found / np.abs(found).max(axis=(1, 2), keepdims=True), np.float16)
-
-
-def _weights(model: SubjectModel) -> Floats:
-    """Return weights (n,) of the skin's vertices: the face's count, others little."""
-    weights = np.full(len(model.skin.vertices), PreviewOptions.off_face)
-    weights[model.face] = 1.0
-    return np.asarray(weights / weights.sum())
 
 
 class SkinProjection:
@@ -170,7 +163,7 @@ class SkinProjection:
 
     def __init__(self, model: SubjectModel, basis: Floats, ridge: float = 1e-9) -> None:
         self._neutral = model.skin.vertices
-        weighted = (basis * _weights(model)[:, None]).reshape(len(basis), -1)
+        weighted = (basis * skin_weights(model)[:, None]).reshape(len(basis), -1)
         gram = weighted @ basis.reshape(len(basis), -1).T
         gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / len(gram)
         self.rows = np.linalg.solve(gram, weighted)

@@ -225,9 +225,7 @@ def _learn(
 ) -> ReducedSkin:
     """Return the reduced skin of samples; slopes are left out after the ``deadline``."""
     motions = np.array([sample.skin for sample in samples]) - face.model.skin.vertices
-    weights = np.full(motions.shape[1], options.off_face)
-    weights[face.model.face] = 1.0
-    weights /= weights.sum()
+    weights = skin_weights(face.model, options)
     modes = modes_of(motions, weights, options.reduction)
     measure = modes * weights[:, None]
     responses = Responses(face, controls, measure)
@@ -241,6 +239,13 @@ def _learn(
     values = np.array([sample.slid.values for sample in samples])
     amounts = np.einsum("rnc,snc->sr", measure, motions, optimize=True)
     return reduce_skin(modes, quadratic_map(values, amounts, slopes, options.reduction))
+
+
+def skin_weights(model: SubjectModel, options: PreviewOptions = PreviewOptions()) -> Floats:
+    """Return weights (n,) of the skin's vertices, which sum to 1: those off the face count less."""
+    weights = np.full(len(model.skin.vertices), options.off_face)
+    weights[model.face] = 1.0
+    return np.asarray(weights / weights.sum())
 
 
 def write_preview(path: Path, preview: Preview) -> None:
