@@ -65,7 +65,7 @@ def furrows(skin: Surface, places: Floats, relief: Relief = RELIEF) -> Floats:
         at = np.stack([np.abs(x), y], axis=1) - one
         part = np.clip(at @ along / (along @ along), 0.0, 1.0)
         off = np.linalg.norm(at - part[:, None] * along, axis=1)
-        fade = np.minimum(1.0, 4.0 * part * (1.0 - part) + 0.0)
+        fade = np.minimum(1.0, 4.0 * part * (1.0 - part))
         found = np.maximum(found, share * fade * np.exp(-((off / relief.furrow_radius) ** 2)))
     return np.where(z > -90.0, -relief.furrow_depth * found, 0.0)
 

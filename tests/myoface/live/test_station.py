@@ -11,13 +11,15 @@ from array import array
 from collections.abc import AsyncIterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, get_args
 
 import anyio
 import numpy as np
 import pytest
 
+from myoface.cli import live as cli
 from myoface.client import LiveFrame, Timed
+from myoface.client.aio_live import FOR_GOOD
 from myoface.client.live_frames import read_frame
 from myoface.live.datagrams import PacketError, Port
 from myoface.live.lines import read_line, tell_frame
@@ -26,7 +28,10 @@ from myoface.live.osc import OscMessage, read_osc
 from myoface.live.replay import Replay, play
 from myoface.live.sinks import LineSink, OscSink
 from myoface.live.station import Given, Station, Tally
+from service.live import relay
 from solver.kinds.live_messages import GAP, HELD, FollowedFrame
+from solver.kinds.live_session import LiveSession, Source
+from solver.live import takes
 from solver.live.texts import describe_frame
 from tests.myoface.live.echo import READY, EchoSocket, echo_face
 from tests.myoface.live.packets import live_link_packet
@@ -187,6 +192,15 @@ def test_nobody_at_the_other_end_of_osc_is_no_fault() -> None:
     for number in range(3):
         sink.face(frame(number), None)
     sink.close()
+
+
+def test_the_station_knows_what_a_session_does() -> None:
+    rate = LiveSession.model_json_schema()["properties"]["rate"]
+    assert (rate["default"], rate["maximum"]) == (cli.USUAL_RATE, cli.MOST_RATE)
+    assert set(get_args(cli.Source)) == set(get_args(Source))
+    assert cli.TAKE.pattern == takes.NAME.pattern
+    closed = (relay.ENDED, relay.TOO_LARGE, relay.TAKEN_OVER, relay.REVOKED)
+    assert sorted(FOR_GOOD) == sorted(closed)
 
 
 def test_a_line_says_a_frame_as_the_session_does_in_text() -> None:
