@@ -117,9 +117,9 @@ class _Played:
         first = min(options.first, max(float(take.times[-1]) - seconds, 0.0))
         times = first + np.arange(int(seconds * options.rate)) / options.rate
         times = times[times <= take.times[-1]]
-        self.weights = np.array([np.interp(times, take.times, row) for row in take.weights.T]).T
+        self.weights = live_service.between(take, times, take.weights)
         mixed = shape_weights(take, shapes.expression_names)
-        even = np.array([np.interp(times, take.times, row) for row in mixed.T]).T
+        even = live_service.between(take, times, mixed)
         neutral = self.rig.model.skin.vertices
         flat = shapes.expressions.reshape(len(shapes.expressions), -1).astype(float)
         performance = IctPerformance(neutral, flat, even, times - first)

@@ -30,7 +30,8 @@ from myoface.client.aio_live import AsyncLiveFace
 from myoface.client.live_frames import LiveFrame
 from myoface.stack import Stack
 from service.settings import Settings
-from solver.scans.performance import ARKIT_NAMES, read_live_link
+from solver.scans.performance import ARKIT_NAMES, FaceTake, read_live_link
+from solver.surface import Floats
 
 PARTS = ("session", "sessions", "resume", "soak")
 SESSIONS = 4
@@ -78,8 +79,13 @@ def recorded(path: Path, rate: float, first: float, seconds: float) -> list[dict
     """Return ARKit's weights of a recording's frames at a rate, from its second ``first`` on."""
     take = read_live_link(path)
     times = np.arange(first, min(first + seconds, float(take.times[-1])), 1.0 / rate)
-    columns = [np.interp(times, take.times, column).tolist() for column in take.weights.T]
-    return [dict(zip(ARKIT_NAMES, row, strict=True)) for row in zip(*columns, strict=True)]
+    rows = between(take, times, take.weights).tolist()
+    return [dict(zip(ARKIT_NAMES, row, strict=True)) for row in rows]
+
+
+def between(take: FaceTake, times: Floats, rows: Floats) -> Floats:
+    """Return a take's ``rows`` (f, k) at other ``times`` (g,), those between its own: (g, k)."""
+    return np.column_stack([np.interp(times, take.times, column) for column in rows.T])
 
 
 def table(figures: Figures) -> Table:

@@ -17,7 +17,8 @@ import anyio
 import numpy as np
 import pytest
 
-from myoface.cli import live as cli
+from myoface.cli.live import MOST_RATE, TAKE, USUAL_RATE
+from myoface.cli.live import Source as StationSource
 from myoface.client import LiveFrame, Timed
 from myoface.client.aio_live import FOR_GOOD
 from myoface.client.live_frames import read_frame
@@ -196,9 +197,9 @@ def test_nobody_at_the_other_end_of_osc_is_no_fault() -> None:
 
 def test_the_station_knows_what_a_session_does() -> None:
     rate = LiveSession.model_json_schema()["properties"]["rate"]
-    assert (rate["default"], rate["maximum"]) == (cli.USUAL_RATE, cli.MOST_RATE)
-    assert set(get_args(cli.Source)) == set(get_args(Source))
-    assert cli.TAKE.pattern == takes.NAME.pattern
+    assert (rate["default"], rate["maximum"]) == (USUAL_RATE, MOST_RATE)
+    assert set(get_args(StationSource)) == set(get_args(Source))
+    assert TAKE.pattern == takes.NAME.pattern
     closed = (relay.ENDED, relay.TOO_LARGE, relay.TAKEN_OVER, relay.REVOKED)
     assert sorted(FOR_GOOD) == sorted(closed)
 
