@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from benchmarks.detail_views import draw_detail
+from benchmarks.detail_views import draw_detail, read_placed
 from benchmarks.documents import Figures
 from benchmarks.made_skin import carve, furrows, pits
 from solver.anatomy.embedding import barycentric
@@ -21,14 +21,11 @@ from solver.anatomy.template import Template
 from solver.anatomy.texture_coordinates import TextureCoordinates
 from solver.jobs import run_job
 from solver.meshio.ply import write_ply
-from solver.meshio.raw import mend, read_raw
-from solver.meshio.registered import read_registered
 from solver.registration.detail import Detail, bake_detail
 from solver.registration.normal_maps import by_slopes, slopes
 from solver.registration.subdivided import CHILDREN, Subdivided
 from solver.registration.texture import texture_coordinates
 from solver.registration.topology import Topology, topology
-from solver.similarity import Similarity
 from solver.surface import (
     Floats,
     Ints,
@@ -71,16 +68,7 @@ class Registered:
     @classmethod
     def read(cls, folder: Path, scan: Path, template: Template) -> Registered:
         """Read the files of a ``scan`` that was registered to a template."""
-        told = json.loads((folder / "registration.json").read_text())
-        rest = template.skin
-        points = read_registered(folder / "registered.ply", rest.faces, len(rest.vertices)).vertices
-        skin = rest.with_vertices(points)
-        motion = told["motion"]
-        placed = Similarity(
-            motion["scale"], np.array(motion["rotation"]), np.array(motion["translation"])
-        )
-        raw, _ = mend(read_raw(scan))
-        surface = Surface(placed(raw.vertices), raw.faces)
+        told, skin, surface = read_placed(scan, folder, template)
         own = vertex_normals(surface)
         faces, shares, distance = barycentric(surface.vertices, skin)
         coordinates = texture_coordinates(template)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from benchmarks.documents import Figures
 from solver.anatomy.template import Template
 from solver.drawing.head import face_camera
 from solver.drawing.render import Camera, look
@@ -42,17 +43,22 @@ def draw_detail(path: Path, rows: Sequence[tuple[str, Path, Path]], template: Te
     draw_sheet(path, "Detail", "lit from one side", names, columns, LAYOUT, scale_mm=None)
 
 
-def _row(scan: Path, folder: Path, template: Template) -> list[np.ndarray]:
-    motion = json.loads((folder / "registration.json").read_text())["motion"]
+def read_placed(scan: Path, folder: Path, template: Template) -> tuple[Figures, Surface, Surface]:
+    """Return registration.json, the registered skin, and the mended ``scan`` that lies on it."""
+    told = json.loads((folder / "registration.json").read_text())
+    motion = told["motion"]
     placed = Similarity(
         motion["scale"], np.array(motion["rotation"]), np.array(motion["translation"])
     )
     raw, _ = mend(read_raw(scan))
-    surface = Surface(placed(raw.vertices), raw.faces)
     rest = template.skin
     points = read_registered(folder / "registered.ply", rest.faces, len(rest.vertices)).vertices
-    skin = rest.with_vertices(points)
-    camera = face_camera(points, topology(template).face, YAW)
+    return told, rest.with_vertices(points), Surface(placed(raw.vertices), raw.faces)
+
+
+def _row(scan: Path, folder: Path, template: Template) -> list[np.ndarray]:
+    _, skin, surface = read_placed(scan, folder, template)
+    camera = face_camera(skin.vertices, topology(template).face, YAW)
     image = Image.open(folder / "normals.png").convert("RGBA")
     return [
         _lit(camera, surface),
