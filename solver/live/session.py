@@ -9,6 +9,7 @@ The same steps serve the job of the service and a program that holds a session i
 from __future__ import annotations
 
 import hashlib
+import math
 import threading
 import time
 from collections import deque
@@ -36,6 +37,8 @@ from solver.scans.performance import ARKIT_NAMES
 from solver.similarity import Similarity, small_motion
 from solver.storage import write_container
 from solver.surface import Floats
+
+Layout = tuple[tuple[str, tuple[int, ...]], ...]  # names and shapes of a followed frame's arrays
 
 
 @dataclass(frozen=True)
@@ -182,7 +185,7 @@ class LiveSession:
         return cls(face, source, options, order, digest)
 
     @property
-    def layout(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
+    def layout(self) -> Layout:
         """Names and shapes of a followed frame's arrays."""
         live = self.face.live
         skin = (("skin", self.face.rig.model.skin.vertices.shape),) * self.options.send_skin
@@ -274,19 +277,15 @@ class LiveSession:
 
         Raises :class:`InputError` (``live.resume``) for one of another layout.
         """
-        sizes = {name: int(np.prod(shape)) for name, shape in self.layout}
-        numbers = np.frombuffer(frame.numbers[: len(frame.numbers) // 4 * 4], "<f4").astype(float)
-        if len(numbers) != sum(sizes.values()) or not np.isfinite(numbers).all():
+        count = sum(math.prod(shape) for _, shape in self.layout)
+        is_alike = len(frame.numbers) == 4 * count
+        if not is_alike or not np.isfinite(np.frombuffer(frame.numbers, "<f4")).all():
             message = "the last frame of the session is of another layout: it begins anew"
             raise InputError("live.resume", message)
-        places = np.cumsum([0, *sizes.values()])
-        part = {
-            name: numbers[start:end]
-            for name, start, end in zip(sizes, places, places[1:], strict=False)
-        }
-        matrix = part["head"].reshape(4, 4)
+        found = arrays_of(frame, self.layout)
+        matrix = found["head"]
         head = Similarity(1.0, matrix[:3, :3], matrix[:3, 3])
-        self.source.resume(part["values"], head)
+        self.source.resume(found["values"], head)
         self._last_seconds = frame.seconds
         self._is_resumed = True
 
@@ -354,6 +353,14 @@ class LiveSession:
         if found.mend is not None:
             with self._lock:
                 self._mend = found.mend
+
+
+def arrays_of(frame: FollowedFrame, layout: Layout) -> dict[str, Floats]:
+    """Return a frame's arrays by their names; it has as many numbers as the layout."""
+    numbers = np.frombuffer(frame.numbers, "<f4").astype(np.float64)
+    ends = np.cumsum([math.prod(shape) for _, shape in layout])
+    parts = np.split(numbers, ends[:-1])
+    return {name: part.reshape(shape) for (name, shape), part in zip(layout, parts, strict=True)}
 
 
 def write_view(face: LiveFace, path: Path) -> None:

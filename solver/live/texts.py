@@ -10,7 +10,7 @@ import numpy as np
 
 from solver.errors import quote
 from solver.kinds.live_messages import GAP, HELD, RESUMED, FollowedFrame, GivenFrame, MessageError
-from solver.live.session import LiveSession
+from solver.live.session import LiveSession, arrays_of
 from solver.live.source import LiveSource
 
 FLAGS = {"held": HELD, "resumed": RESUMED, "gap": GAP}
@@ -79,13 +79,8 @@ def _number(value: Any, where: str) -> float:
 
 def describe_frame(frame: FollowedFrame, session: LiveSession) -> dict[str, Any]:
     """Return a followed frame as a message with names."""
-    numbers = np.frombuffer(frame.numbers, "<f4").astype(np.float64).round(DECIMALS)
-    parts: dict[str, Any] = {}
-    place = 0
-    for name, shape in session.layout:
-        size = math.prod(shape)
-        parts[name] = numbers[place : place + size].reshape(shape).tolist()
-        place += size
+    found = arrays_of(frame, session.layout)
+    parts = {name: array.round(DECIMALS).tolist() for name, array in found.items()}
     values = parts.pop("values")
     contractions = parts.pop("contractions")
     return {
