@@ -60,7 +60,9 @@ def tell_frame(
     ``ready`` is what the session said of its names. Amounts and skin, which need the session's
     shapes to be of use, are left out, and the station's ``latency_ms`` is told besides.
     """
-    arrays = {name: [*map(_rounded, numbers)] for name, numbers in frame.arrays.items()}
+    head, jaw, values, pulls = (
+        [*map(_rounded, frame.arrays[name])] for name in ("head", "jaw", "values", "contractions")
+    )
     flags = {"held": frame.is_held, "resumed": frame.is_resumed, "gap": frame.is_gap}
     return {
         "type": "frame",
@@ -72,10 +74,10 @@ def tell_frame(
         "error_p95_mm": _rounded(frame.error_p95_mm),
         "dropped": frame.dropped,
         "flags": [name for name, is_set in flags.items() if is_set],
-        "weights": dict(zip(ready["sliders"], arrays["values"], strict=True)),
-        "contractions": dict(zip(ready["muscles"], arrays["contractions"], strict=True)),
-        "head": [arrays["head"][row : row + 4] for row in range(0, 16, 4)],
-        "jaw": arrays["jaw"],
+        "weights": dict(zip(ready["sliders"], values, strict=True)),
+        "contractions": dict(zip(ready["muscles"], pulls, strict=True)),
+        "head": [head[row : row + 4] for row in range(0, 16, 4)],
+        "jaw": jaw,
     }
 
 
