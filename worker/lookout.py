@@ -126,5 +126,9 @@ class Lookout(threading.Thread):
             held = select(Job.id, Job.lease_owner, Job.leased_at).where(
                 Job.queue == LIVE, Job.state.in_(HELD)
             )
-            found = [_Held(*row) for row in session.execute(held)]
+            found = [
+                _Held(job_id, worker, leased_at)
+                for job_id, worker, leased_at in session.execute(held)
+                if worker is not None and leased_at is not None  # as of all that are held
+            ]
         return waiting, found, moment
