@@ -12,7 +12,7 @@ from typing import Any
 import uvicorn
 from starlette.types import ASGIApp
 
-from service.http.deadline import protocol
+from service.http.deadline import SocketProtocol, protocol
 from service.http.slots import ConnectionSlots
 
 ROOM: ConnectionSlots[Any] = ConnectionSlots(10_000, 10_000, 10_000)
@@ -24,7 +24,7 @@ def serving(
 ) -> Iterator[int]:
     """Serve ``app`` as `service.__main__` does; gives the port."""
     http = protocol(seconds, seconds, slots or ROOM)
-    config = uvicorn.Config(app, port=0, http=http, log_config=None, **more)
+    config = uvicorn.Config(app, port=0, http=http, ws=SocketProtocol, log_config=None, **more)
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run)
     thread.start()

@@ -94,6 +94,10 @@ BODIES: dict[tuple[str, str], dict[str, Any]] = {
             "/v1/webhooks/{webhook_id}",
         )
     },
+    ("put", "/v1/live/{session_id}/recording"): {
+        "headers": {"Content-Type": "application/json"},
+        "content": b'{"name": "x"}',
+    },
     ("patch", "/v1/uploads/{upload_id}"): {
         "headers": {"Upload-Offset": "0", "Content-Type": OFFSET_STREAM},
         "content": b"v",
