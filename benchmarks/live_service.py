@@ -149,7 +149,7 @@ async def play(
 
     async def send() -> None:
         for row in range(count):
-            await anyio.sleep(start + row / rate - time.monotonic())
+            await anyio.sleep(max(start + row / rate - time.monotonic(), 0.0))
             # noted before: the answer may be here before the call returns; frames count from 1
             station.sent[row + 1] = time.monotonic()
             await face.send(frames[row % len(frames)])

@@ -41,7 +41,10 @@ class LoopOptions:
     """Numbers of the loop that passes messages."""
 
     wait_s: float = 0.25  # for a message, at most, before the clock is looked at
-    most_waiting: int = 64  # messages that are read before the newest frame is followed
+    most_waiting: int = 64  # messages that are read before a frame is followed
+    # newest of the frames that wait which are followed: a moment's stall costs none, and a source
+    # that is too fast is never further behind
+    most_behind: int = 3
     fault_s: float = 1.0  # between two faults of one code that are told
     progress_s: float = 5.0  # between two steps of the job's progress
 
@@ -104,7 +107,7 @@ class _Loop:
         return self._leave(session)
 
     def _turn(self, session: LiveSession) -> None:
-        """Take what has come, and follow the newest frame of it."""
+        """Take what has come, and follow the newest frames of it."""
         message = self._channel.receive(LOOP.wait_s)
         for _ in range(LOOP.most_waiting):
             if message is None:
@@ -113,10 +116,11 @@ class _Loop:
             message = self._channel.receive(0.0)
         if message is not None:
             self._take_message(session, message)
-        self._dropped += max(len(self._waiting) - 1, 0)
-        if self._waiting:
-            self._follow(session, self._waiting[-1])
-            self._waiting.clear()
+        followed = self._waiting[-LOOP.most_behind :]
+        self._dropped += len(self._waiting) - len(followed)
+        self._waiting.clear()
+        for given in followed:
+            self._follow(session, given)
         self._look_at_clock(session)
 
     def _take_message(self, session: LiveSession, message: Message) -> None:
