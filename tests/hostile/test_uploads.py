@@ -6,6 +6,7 @@ import base64
 import socket
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import httpx
 import pytest
@@ -84,6 +85,12 @@ def test_a_tenant_has_so_many_open_uploads(studio: Studio) -> None:
     studio.start_upload("e.obj", 1)
 
 
+def _is_locked(part: Path) -> bool:
+    """Tell whether somebody holds a file's lock, as Linux has it; elsewhere it is said to be."""
+    locks = Path("/proc/locks")
+    return not locks.exists() or f":{part.stat().st_ino} " in locks.read_text()
+
+
 def test_deleting_waits_for_nobody_and_tears_nothing_from_a_writer(settings: Settings) -> None:
     with (
         serving(create_app(settings), 30) as port,
@@ -98,6 +105,8 @@ def test_deleting_waits_for_nobody_and_tears_nothing_from_a_writer(settings: Set
         )
         with socket.create_connection(("127.0.0.1", port)) as writer:
             writer.sendall(head.encode() + SCAN[:1000])
+            # a HEAD before the writer has its lock would have it in the writer's place
+            eventually(lambda: any(map(_is_locked, settings.uploads.iterdir())))
             eventually(lambda: http.head(location).status_code == 423)
             _refused(http.delete(location), 423, "upload.locked")
             writer.sendall(SCAN[1000:])
