@@ -28,7 +28,7 @@ from benchmarks.documents import Figures, Table
 from myoface.client import AsyncClient, Client
 from myoface.client.aio_live import AsyncLiveFace
 from myoface.client.live_frames import LiveFrame
-from myoface.stack import Stack
+from myoface.stack import SPARE, Stack
 from service.settings import Settings
 from solver.scans.performance import ARKIT_NAMES, FaceTake, read_live_link
 from solver.surface import Floats
@@ -226,7 +226,7 @@ async def resume(
 
 def kill_solver(stack: Stack) -> None:
     """Kill the solver process of the session that is held."""
-    for name in ("live", "live-spare"):
+    for name in ("live", SPARE):
         for child in psutil.Process(stack.pid(name)).children(recursive=True):
             if "--standby" not in child.cmdline() or child.cpu_times().user > 1.0:
                 child.send_signal(signal.SIGKILL)
@@ -234,7 +234,7 @@ def kill_solver(stack: Stack) -> None:
 
 def kill_worker(stack: Stack) -> None:
     """Kill the worker that has a session, and with it its solver."""
-    pids = [stack.pid(name) for name in ("live", "live-spare")]
+    pids = [stack.pid(name) for name in ("live", SPARE)]
     busy = max(pids, key=lambda pid: _processor_s(psutil.Process(pid)))
     os.kill(busy, signal.SIGKILL)
 
@@ -278,7 +278,7 @@ async def soak(
 
 def _memory_mb(stack: Stack) -> float:
     """Return the memory that all processes of a service have of their own."""
-    pids = [stack.pid(name) for name in ("api", "live", "live-spare", "broker")]
+    pids = [stack.pid(name) for name in ("api", "live", SPARE, "broker")]
     tree = [psutil.Process(pid) for pid in pids]
     tree += [child for each in tree for child in each.children(recursive=True)]
     total = 0

@@ -20,6 +20,7 @@ from solver.fitting.information import inverse_of_positive
 from solver.fitting.markers.robust import Judge, JudgedFrame, RobustOptions
 from solver.fitting.markers.term import HeadOptions, HeadPrior, MarkerPlaces, MarkerTerm
 from solver.fitting.prior import GaussianPrior
+from solver.live.source import FollowedFace, LiveSource
 from solver.model import SubjectModel
 from solver.rig.frames.skin_basis import ReducedSkin
 from solver.rig.preview.sliders import Sliders
@@ -214,3 +215,26 @@ class PlaceFollower:
         weights = self._precision.mean(axis=1)
         known = self.memory.head
         return HeadPrior.before_frame(known, seconds, at, seen, weights, self.options.head)
+
+
+class PlaceSource(LiveSource):
+    """Base of sources whose frames are places (rows, 3): what was before is their follower's."""
+
+    width = 3
+    labels: tuple[str, ...] = ()
+    _follower: PlaceFollower
+
+    @override
+    def begin(self) -> None:
+        self._follower.begin()
+
+    @override
+    def resume(self, values: Floats, head: Similarity) -> None:
+        self._follower.resume(values, head)
+
+
+def as_live(found: FollowedPoints) -> FollowedFace:
+    """Return followed points as a session has them."""
+    left = np.nan_to_num(found.residuals.ravel())
+    is_held = not np.isin(found.states, ("missing", "outlier"), invert=True).any()
+    return FollowedFace(found.values, found.head, left, is_held)

@@ -16,15 +16,14 @@ from typing_extensions import override
 from solver.anatomy.skin_points import SkinPoints
 from solver.errors import InputError
 from solver.fitting.markers.robust import RobustOptions
-from solver.live.follow import FollowOptions, PlaceFollower, ReducedPlaces
-from solver.live.markers import as_live
+from solver.live.follow import FollowOptions, PlaceFollower, PlaceSource, ReducedPlaces, as_live
 from solver.live.points import PointOptions, RobustPoints
-from solver.live.source import FollowedFace, LiveSource
+from solver.live.source import FollowedFace
 from solver.model import SubjectModel
 from solver.rig.frames.skin_basis import ReducedSkin
 from solver.rig.preview.sliders import Sliders
 from solver.scans.markers.places.marker_set import Marker
-from solver.similarity import Similarity, fit_similarity
+from solver.similarity import fit_similarity
 from solver.surface import Floats
 
 Number = TypeVar("Number", int, float)
@@ -47,15 +46,13 @@ class LandmarkOptions:
     )
 
 
-class LiveLandmarks(LiveSource):
+class LiveLandmarks(PlaceSource):
     """Follows the landmarks (478, 3) of a detector, at the ``points`` that a template has of them.
 
     Raises :class:`InputError` (``live.no_landmarks``) where that has too few.
     """
 
     rows = COUNT
-    width = 3
-    labels: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -98,14 +95,6 @@ class LiveLandmarks(LiveSource):
         at = self._places.at(self._follower.memory.values)
         size = fit_similarity(at[known], seen[known]).scale
         return as_live(self._follower.step(seen / max(size, 1e-9), seconds))
-
-    @override
-    def begin(self) -> None:
-        self._follower.begin()
-
-    @override
-    def resume(self, values: Floats, head: Similarity) -> None:
-        self._follower.resume(values, head)
 
 
 def _is_landmark(name: str) -> bool:

@@ -14,16 +14,17 @@ from solver.live.follow import (
     ExpectedFrame,
     FollowOptions,
     PlaceFollower,
+    PlaceSource,
     PointJudge,
     ReducedPlaces,
+    as_live,
 )
-from solver.live.markers import as_live
-from solver.live.source import FollowedFace, LiveSource
+from solver.live.source import FollowedFace
 from solver.model import SubjectModel
 from solver.rig.frames.skin_basis import ReducedSkin
 from solver.rig.preview.sliders import Sliders
 from solver.scans.markers.places.marker_set import Marker
-from solver.similarity import Similarity, robust_weights
+from solver.similarity import robust_weights
 from solver.surface import Floats
 
 
@@ -59,11 +60,8 @@ class RobustPoints(PointJudge):
         return JudgedFrame(seen, weights, states), weighted
 
 
-class LivePoints(LiveSource):
+class LivePoints(PlaceSource):
     """Follows the vertices (V, 3) of the whole skin, mm, in any axes that a head may turn to."""
-
-    width = 3
-    labels: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -89,14 +87,6 @@ class LivePoints(LiveSource):
     @override
     def step(self, numbers: Floats, seconds: float) -> FollowedFace:
         return as_live(self._follower.step(numbers[self._used], seconds))
-
-    @override
-    def begin(self) -> None:
-        self._follower.begin()
-
-    @override
-    def resume(self, values: Floats, head: Similarity) -> None:
-        self._follower.resume(values, head)
 
 
 def _neighbours(model: SubjectModel, vertex: int) -> tuple[int, int]:
