@@ -1,26 +1,30 @@
-"""A take becomes a film on the page, by the real solver: after its upload no file goes up again.
+"""Takes and scenes become films on the page, by the real solver: no file goes up twice.
 
 Each step leaves a picture in the test's folder, so that a person can see what the page showed.
 """
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 
 from myoface.stack import Stack
 from service.settings import Settings
 from service.store.models import DEFAULT_TENANT
 from solver.fitting.face import Face
+from solver.neck.builtin import builtin_neck
 from solver.rig.exporters import write_rig
 from solver.rig.report.certificate import certify
 from tests.browser.rig_place import drawing_browser, put_rig
 from tests.fixtures import small_rig
+from tests.osim_file import osim_text
 from tests.service_client import Studio, served
 from tests.solver.scans.markers.made_take import LABELS, made_positions
 from tests.take_files import c3d_bytes
@@ -30,6 +34,11 @@ pytestmark = [pytest.mark.slow, pytest.mark.long]
 Page = Any
 FRAMES = slice(100, 220, 20)  # from rest into the first expressions
 SOLVED_MS = 300_000
+# has the places that the rig view draws last in window.posed, with their frame
+HEAR = """document.querySelector(".rig").addEventListener("posed", ({ detail }) => {
+  const frame = Number(document.querySelector("input[aria-label=Frame]").value);
+  window.posed = { frame, places: Array.from(detail.places) };
+})"""
 
 
 class Walk:
@@ -149,6 +158,63 @@ def test_a_take_is_checked_bound_fitted_played_and_exported(
     uploads = [each for each in walk.asked[sent:] if "/v1/uploads" in each or "/captures" in each]
     assert not [each for each in uploads if not each.startswith("GET")]
     _is_handed_on(stack, check=check, fit=fit, film=film, export=walk.job)
+
+
+def test_a_head_on_a_chosen_neck_plays_on_the_rig(
+    stack: tuple[Stack, str, str], walk: Walk
+) -> None:
+    """The form writes the neck into the scene; the rig view shows what was simulated."""
+    pytest.importorskip("mujoco")
+    running, subject, _ = stack
+    with httpx.Client(base_url=running.url, timeout=30) as http:
+        studio = Studio(http, running.key)
+        upload = studio.upload("spine.osim", osim_text(builtin_neck()).encode())
+        path = f"/v1/subjects/{subject}/captures"
+        file = studio.post(path, name="spine", role="asset", upload_id=upload)["id"]
+    page = walk.page
+    walk.go(f"/subjects/{subject}")
+    page.get_by_role("button", name="Simulate", exact=True).click()
+    dialog = page.get_by_role("dialog")
+    scene = dialog.get_by_label("Scene", exact=True)
+    necks = dialog.get_by_label("Neck", exact=True)
+    turn = {"time": 1, "rotation_deg": [-10, 40, 0]}
+    asked = {"fps": 4, "keys": [{"time": 0}, {"time": 1}], "head": [{"time": 0}, turn]}
+    scene.fill(json.dumps(asked))
+    assert necks.input_value() == ""
+    necks.select_option(label="built-in")
+    assert json.loads(scene.input_value()) == {**asked, "neck": {}}
+    scene.fill(json.dumps({**asked, "neck": {"coupling": False}}))
+    assert necks.input_value() == "built-in"
+    necks.select_option(label="spine, an OpenSim file")
+    asked["neck"] = {"asset": "spine", "coupling": False}
+    assert json.loads(scene.input_value()) == asked
+    scene.fill("{")
+    assert necks.is_disabled()
+    scene.fill(json.dumps(asked))
+    walk.look("ask-for-a-neck")
+    walk.submit()
+    page.get_by_role("img", name="Head and neck with bones and muscles").wait_for()
+    walk.look("neck")
+    with httpx.Client(base_url=running.url, timeout=30) as http:
+        studio = Studio(http, running.key)
+        job = studio.job(walk.job)
+        assert (job["captures"], job["options"]["scene"]) == ([file], asked)
+        [left] = [each for each in job["result"]["artifacts"] if each["name"] == "animation.npz"]
+        content = http.get(f"/v1/artifacts/{left['id']}").content
+    with np.load(io.BytesIO(content)) as data:
+        skins, vertices, head = data["skin"], data["vertices"], data["head"]
+    assert np.degrees(np.linalg.norm(head[-1, :3])) > 30.0
+
+    page.get_by_role("link", name="Play it on the rig").click()
+    page.get_by_text("as its neck carries it").wait_for()
+    page.evaluate(HEAR)
+    for frame in (4, 2):
+        page.get_by_label("Frame", exact=True).fill(str(frame))
+        page.get_by_text(f"{frame + 1} of 5, {frame / 4:.2f} s", exact=True).wait_for()
+        page.wait_for_function("frame => window.posed?.frame === frame", arg=frame)
+        shown = np.array(page.evaluate("window.posed.places")).reshape(-1, 3)
+        assert np.linalg.norm(shown[vertices] - skins[frame], axis=1).max() < 0.3
+        walk.look(f"frame-{frame}")
 
 
 def _upload(walk: Walk, subject: str, file: Path) -> None:

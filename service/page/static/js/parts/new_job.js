@@ -6,6 +6,7 @@ import { kindsByName } from "../library.js";
 import { ask } from "./dialog.js";
 import { handedOnFields } from "./handed_on.js";
 import { optionFields, readOptions } from "./options.js";
+import { addNeckField } from "./scene_neck.js";
 
 /**
  * Show a job's options and submit it; resolves to the new job, or null.
@@ -17,13 +18,16 @@ export async function askForJob({ marker_set: set = null, options = {}, ...reque
   const kind = (await kindsByName()).get(request.kind);
   const priority = priorityField(0);
   const handed = await handedOnFields(kind, request);
+  const fields = optionFields(kind.options, options);
+  const neck = await addNeckField(kind, fields, request.subject_id);
   return ask({
     title: kind.title,
-    body: [h("p", {}, kind.description), handed.element, optionFields(kind.options, options), priority],
+    body: [h("p", {}, kind.description), handed.element, fields, priority],
     agree: "Submit",
     act: (form) => {
       const left = handed.read();
-      const captures = [...(request.captures ?? []), ...(set && !left.length ? [set] : [])];
+      const read = new Set([...(request.captures ?? []), ...neck.read()]);
+      const captures = [...read, ...(set && !left.length ? [set] : [])];
       const more = { captures, from_jobs: left, options: readOptions(kind.options, form) };
       return submit({ ...request, ...more, priority: valueOf(priority) });
     },
@@ -34,13 +38,15 @@ export async function askForJob({ marker_set: set = null, options = {}, ...reque
 export async function askToRunAgain(job) {
   const kind = (await kindsByName()).get(job.kind);
   const priority = priorityField(job.priority);
+  const fields = optionFields(kind.options, job.options);
+  await addNeckField(kind, fields, job.subject_id, job.captures);
   const note = "It reads the same scans and files, as they are now; nothing is uploaded again. The first job stays.";
   return ask({
     title: `${kind.title}: run again`,
     body: [
       h("p", {}, kind.description),
       h("p", { class: "fine" }, note),
-      optionFields(kind.options, job.options),
+      fields,
       priority,
     ],
     agree: "Run again",

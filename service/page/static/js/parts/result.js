@@ -28,7 +28,8 @@ const PICTURES = {
 export function resultPanel(job, signal) {
   if (!job.result) return null;
   const { summary, artifacts, rig_id: rigId } = job.result;
-  const isPlaced = job.kind === "check_markers" && job.rig_id && artifacts.some(({ name }) => name === "markers.json");
+  const has = (file) => artifacts.some(({ name }) => name === file);
+  const isPlaced = job.kind === "check_markers" && job.rig_id && has("markers.json");
   const films = artifacts.filter(({ media_type: type }) => type.startsWith("video/"));
   const pictures = artifacts.filter(({ media_type: type }) => type === "image/png");
   const figures = [
@@ -45,14 +46,8 @@ export function resultPanel(job, signal) {
     rigId && summary?.checks && findingList(rigFindings(summary)),
     rigId && h("p", {}, h("a", { class: "button", href: `/rigs/${rigId}` }, "Open the rig")),
     isPlaced && h("p", {}, h("a", { class: "button", href: `/markers/${job.id}` }, "Place the markers"), " ", goOn("Fit the take", () => fitTake(job))),
-    artifacts.some(({ name }) => name === "sequence.npz") &&
-      h(
-        "p",
-        {},
-        h("a", { class: "button", href: `/rigs/${job.rig_id}?take=${job.id}:0` }, "Play it on the rig"),
-        " ",
-        goOn("Play it in a scene", () => playInScene(job)),
-      ),
+    has("sequence.npz") && h("p", {}, playOnRig(job), " ", goOn("Play it in a scene", () => playInScene(job))),
+    has("animation.glb") && h("p", {}, playOnRig(job)),
     films.map((artifact) => film(artifact, signal)),
     pictures.map((artifact) => picture(artifact, PICTURES[artifact.name] ?? artifact.name, signal)),
     figures.length > 0 &&
@@ -74,6 +69,10 @@ export function resultPanel(job, signal) {
     h("h2", { id: "result" }, "Result"),
     content,
   );
+}
+
+function playOnRig(job) {
+  return h("a", { class: "button", href: `/rigs/${job.rig_id}?take=${job.id}:0` }, "Play it on the rig");
 }
 
 /** Return a button that asks for the job that goes on with what this one left. */

@@ -160,7 +160,7 @@ export class RigPage extends EventTarget {
     const { places } = this.#figure;
     const weights = names.map((name) => state.expressions.get(name) ?? 0);
     if (state.live && this.#live.hasFace) this.#live.pose(places, neutral);
-    else if (this.#shownTake) this.#shownTake.pose(places, neutral, state.take.frame);
+    else if (this.#shownTake) this.#shownTake.pose(places, state.take.frame);
     else if (state.controls.size && this.#preview) {
       const values = this.#preview.controls.map(({ name }) => state.controls.get(name) ?? 0);
       blend(places, neutral, this.#preview.weights(values), (r) => this.#preview.shape(r));

@@ -1,21 +1,25 @@
-// The scrubber of sequences that were fitted with a rig.
+// The scrubber of sequences that were fitted with a rig, and of animations that it played.
 
 import * as api from "../api.js";
 import { h, setText, show } from "../dom.js";
 import { sentence } from "../parts/trouble.js";
-import { when } from "../words.js";
+import { plain, when } from "../words.js";
 import { Contractions } from "./contractions.js";
 import { ContractionLanes, Lanes } from "./lanes.js";
 import { MarkerTake } from "./marker_take.js";
 import { artifactsOfJobs } from "./read.js";
 import { Take } from "./take.js";
 
-const KINDS = ["fit_sequence", "fit_markers", "fit_photo"];
-const FILE = "sequence.glb";
+const SEQUENCE = "sequence.glb";
+const ANIMATION = "animation.glb";
+/** The file that is played of each kind of job. */
+const FILES = {
+  fit_sequence: SEQUENCE, fit_markers: SEQUENCE, fit_photo: SEQUENCE, simulate: ANIMATION, animate: ANIMATION,
+};
 const MARKERS = "markers.bin";
 const CONTRACTIONS = "contractions.bin";
 
-/** Sequences of a rig; `change(patch)` takes a part of a state, which names job and frame. */
+/** Sequences and animations of a rig; `change(patch)` takes a part of a state, which names job and frame. */
 export class TakePanel {
   #change;
   #count;
@@ -43,21 +47,22 @@ export class TakePanel {
     this.element = h("div", { class: "pose" }, h("p", { class: "fine" }, "Looking for sequences …"));
   }
 
-  /** Look for the sequences of a rig. */
+  /** Look for the sequences and animations of a rig. */
   async find(rig) {
     try {
-      const found = await Promise.all(KINDS.map((kind) => artifactsOfJobs(rig, kind, FILE, this.#signal)));
+      const found = await Promise.all(Object.entries(FILES).map(([kind, file]) => (
+        artifactsOfJobs(rig, kind, file, this.#signal))));
       for (const each of found.flat()) this.#jobs.set(each.job.id, each);
     } catch (error) {
       if (!this.#signal.aborted) this.#fail(sentence(error));
       return;
     }
     if (this.#jobs.size === 0) {
-      show(this.element, h("p", { class: "fine" }, "No sequence was fitted with this rig."));
+      show(this.element, h("p", { class: "fine" }, "No sequence was fitted with this rig, and no scene was played."));
       return;
     }
     show(this.#pick, [...this.#jobs.values()].map(({ job }) => (
-      h("option", { value: job.id }, `${job.result.summary?.performance ?? "sequence"}, ${when(job.finished_at)}`)
+      h("option", { value: job.id }, `${job.result.summary?.performance ?? plain(job.kind)}, ${when(job.finished_at)}`)
     )));
     show(this.element,
       h("div", { class: "row" }, this.#pick, this.#play),
@@ -77,7 +82,11 @@ export class TakePanel {
       const beside = [MARKERS, CONTRACTIONS].map((file) => known.job.result.artifacts.find(({ name }) => name === file));
       const files = [known.artifact, ...beside].map((each) => each && read(each));
       this.#takes.set(job, Promise.all(files).then(([skin, markers, contractions]) => (
-        new Take(skin, markers && new MarkerTake(markers), contractions && new Contractions(contractions)))));
+        new Take(skin, {
+          times: framesOf(known),
+          markers: markers ? new MarkerTake(markers) : null,
+          contractions: contractions ? new Contractions(contractions) : null,
+        }))));
     }
     try {
       const take = await this.#takes.get(job);
@@ -98,7 +107,7 @@ export class TakePanel {
     }
     this.#shown = state.take.job;
     this.#pick.value = state.take.job;
-    this.#tell();
+    this.#tell(take);
     this.#scrub.max = take.frames - 1;
     this.#lanes.element.hidden = !take.markers;
     if (take.markers) this.#lanes.show(take.markers, state.take.frame);
@@ -108,11 +117,10 @@ export class TakePanel {
     setText(this.#place, `${state.take.frame + 1} of ${take.frames}, ${take.times[state.take.frame].toFixed(2)} s`);
   }
 
-  /** Tell how far what is played is off the fit, as the job measured it in the file. */
-  #tell() {
-    const written = this.#jobs.get(this.#pick.value)?.job.result.summary?.files?.[FILE];
-    const off = written ? `, at most ${written.max_mm.toFixed(2)} mm off it (frame ${written.frame})` : "";
-    setText(this.#about, `The skin of the fit${off}, in the head's own frame; the muscles' sliders follow. Muscles and bones stay at rest in the picture. Arrows go from the fit to where markers were seen, five times as long.`);
+  /** Tell how far what is played is off what was solved, as the job measured it in the file. */
+  #tell(take = null) {
+    const { job, artifact } = this.#jobs.get(this.#pick.value) ?? {};
+    setText(this.#about, artifact?.name === ANIMATION ? ofAnimation(job, take) : ofSequence(job));
   }
 
   /** Stop playing. */
@@ -152,4 +160,27 @@ export class TakePanel {
   #fail(text) {
     show(this.element, h("p", { class: "notice bad", role: "alert" }, text));
   }
+}
+
+/** Return the times of an animation's frames in s; null of a sequence, whose file has each. */
+function framesOf({ job, artifact }) {
+  if (artifact.name === SEQUENCE) return null;
+  const { frames, duration } = job.result.summary;
+  return Float32Array.from({ length: frames }, (_, frame) => (frames > 1 ? (frame * duration) / (frames - 1) : 0));
+}
+
+function ofSequence(job) {
+  const written = job?.result.summary?.files?.[SEQUENCE];
+  const off = written ? `, ${atMost(written.max_mm, written.frame)}` : "";
+  return `The skin of the fit${off}, in the head's own frame; the muscles' sliders follow. Muscles and bones stay at rest in the picture. Arrows go from the fit to where markers were seen, five times as long.`;
+}
+
+function ofAnimation(job, take) {
+  const { max_error_mm: most, frame } = job.result.summary.glb;
+  const where = take?.isCarried ? "as its neck carries it" : "in the head's own frame";
+  return `The skin of the simulation, ${atMost(most, frame)}, ${take ? where : "as a neck carries it if it has one"}. Muscles and bones stay at rest in the picture; objects are not drawn.`;
+}
+
+function atMost(mm, frame) {
+  return `at most ${mm.toFixed(2)} mm off it (frame ${frame})`;
 }
