@@ -28,10 +28,12 @@ from tests.solver.ball import ball_template
 from tests.solver.block import head_block
 from tests.solver.jobs.test_scenes import recording
 
+SWAY_SECONDS = 20  # enough that it still plays when its solver and then its worker are killed
+SWAY_FRAMES = 30 * SWAY_SECONDS + 1
 SWAY = {
     "mode": "dynamic",
     "steps_per_frame": 2,
-    "duration": 3,
+    "duration": SWAY_SECONDS,
     "keys": [{"time": 0}, {"time": 1, "expressions": {"wide": 1}}],
     "forces": [{"kind": "wind", "m_s": [20, 0, -20], "gusts": 0.5}],
 }
@@ -60,6 +62,8 @@ def test_killed_processes_cost_no_frame_and_the_animation_ends_once(
         [solver] = studio.solvers(stack)
         os.kill(solver, signal.SIGKILL)
         before = studio.get(f"{url}?limit=10")["frames"]
+        # what was ready when it was killed may still be committed: what comes later is new
+        eventually(lambda: studio.job(job)["attempt"] == 2, seconds=60)
         kept = ready()
         eventually(lambda: ready() > kept + 5, seconds=120)
         os.kill(stack.pid("long"), signal.SIGKILL)
@@ -68,9 +72,9 @@ def test_killed_processes_cost_no_frame_and_the_animation_ends_once(
         outcomes = [attempt["outcome"] for attempt in done["attempts"]]
         assert outcomes == ["lost", "lost", "succeeded"]
         frames = studio.get(f"{url}?limit=1000")["frames"]
-        assert [frame["frame"] for frame in frames] == list(range(91))
+        assert [frame["frame"] for frame in frames] == list(range(SWAY_FRAMES))
         assert frames[:10] == before
-        assert done["result"]["summary"]["frames"] == 91
+        assert done["result"]["summary"]["frames"] == SWAY_FRAMES
         [arrays] = [each for each in done["result"]["artifacts"] if each["name"] == "animation.npz"]
         content = http.get(f"/v1/artifacts/{arrays['id']}").content
     with np.load(io.BytesIO(content)) as data:
