@@ -35,6 +35,13 @@ class Push:
     end_s: float
     force: Floats  # (3,) N, in the torso's axes
     point: Floats  # (3,) mm, of the head at rest
+    ramp_s: float = 0.0  # from 0 s on, in which it grows
+    turns_with_head: bool = False  # whether the force is in the head's axes
+
+    def at(self, time_s: float, head: Floats) -> Floats:
+        """Return the force (3,) in the torso's axes at a time, of a ``head`` turned by (3, 3)."""
+        part = min(max(time_s / self.ramp_s, 0.0), 1.0) if self.ramp_s else 1.0
+        return np.asarray(part * (head @ self.force if self.turns_with_head else self.force))
 
 
 @dataclass(frozen=True)
@@ -247,8 +254,10 @@ class _Run:
     def _steps_of(self, push: Push) -> range:
         """Return the time steps of a push, one at least."""
         rate = self.options.reflex.rate_hz
-        first = round((push.begin_s - self.begin) * rate)
-        return range(first, first + max(round((push.end_s - push.begin_s) * rate), 1))
+        begin = max(push.begin_s, self.begin)
+        end = min(push.end_s, float(self.goal.times[-1]))
+        first = round((begin - self.begin) * rate)
+        return range(first, first + max(round((end - begin) * rate), 1))
 
     def _time(self, step: int) -> float:
         return float(self.begin + step * self.options.reflex.step_s)
@@ -275,4 +284,5 @@ class _Run:
         external[:] = 0.0
         for push, steps in self.pushes:
             if self.step in steps:
-                external += self.dynamics.body.push(push.force, push.point)
+                force = push.at(self._time(self.step), self.dynamics.body.head)
+                external += self.dynamics.body.push(force, push.point)

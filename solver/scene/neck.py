@@ -15,7 +15,7 @@ from solver.animation import Drives
 from solver.animation import neck as pivot_of
 from solver.errors import Finding, make_warning
 from solver.fitting.face import HungSkin
-from solver.kinds.scene import Force, GravityEntry
+from solver.kinds.scene import Force, GravityEntry, PullEntry, WindEntry
 from solver.kinds.scene_neck import HeadPush, NeckEntry
 from solver.model import SubjectModel
 from solver.neck.anatomy import Neck, NeckPose
@@ -76,12 +76,11 @@ class CarriedHead:
         asked = Rotation.from_matrix([head.rotation for head in heads]).as_rotvec()
         self._options = options_of(entry)
         self._steps = steps
-        self._beside = {
-            force.kind for force in forces if entry.muscles and not isinstance(force, GravityEntry)
-        }
+        self._has_wind = entry.muscles and any(isinstance(force, WindEntry) for force in forces)
         self._goal = reachable(self.placed.neck, drives.times, asked, self._options)
         goal = _between_frames(self._goal, steps)
         pushes = [push_of(push, places) for push in entry.pushes]
+        pushes += [pull_of(force, places) for force in forces if isinstance(force, PullEntry)]
         if entry.muscles:
             gravity = gravity_of(forces)
             self.motion = follow(self.placed.neck, goal, self._options, gravity, pushes, progress)
@@ -131,10 +130,9 @@ class CarriedHead:
     def notices(self) -> list[Finding]:
         """Return what of the head's motion was out of range or reach, and what was read."""
         told = [make_warning("neck.source", words) for words in self.placed.neck.notices]
-        if self._beside:
-            which = " and ".join(sorted(self._beside))
-            message = f"forces of the kind {which} act on the flesh alone, not on the neck"
-            told.append(make_warning("neck.forces", message, {"kinds": sorted(self._beside)}))
+        if self._has_wind:
+            message = "wind acts on the flesh alone, not on the neck"
+            told.append(make_warning("neck.forces", message, {"kinds": ["wind"]}))
         moved = self._moved_mm > STILL_MM
         if moved.any():
             most = float(self._moved_mm.max())
@@ -208,6 +206,13 @@ def push_of(entry: HeadPush, places: Places) -> Push:
     """Return a push on the head that a scene describes; raises as :meth:`Places.point`."""
     end = entry.time + entry.seconds
     return Push(entry.time, end, np.array(entry.newtons), places.point(entry.at))
+
+
+def pull_of(entry: PullEntry, places: Places) -> Push:
+    """Return what a pull at the skin does to the head; raises as :meth:`Places.vertex`."""
+    point = places.model.skin.vertices[places.vertex(entry.at)]
+    newtons = MILLI * np.array(entry.mn)
+    return Push(-np.inf, np.inf, newtons, point, ramp_s=entry.ramp, turns_with_head=True)
 
 
 def _share_out(neck: Neck, goal: HeadGoal) -> NeckMotion:

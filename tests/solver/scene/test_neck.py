@@ -95,9 +95,24 @@ def test_a_push_moves_the_head_and_muscles_bring_it_back() -> None:
     assert np.abs(lying.neck.motion.activations - stage.neck.motion.activations).max() > 0.01
 
 
+def test_a_pull_at_the_skin_turns_the_head_as_it_grows() -> None:
+    pytest.importorskip("mujoco")
+    pull = {"kind": "point", "at": [25, -20, 90], "mn": [0, 0, 10_000], "ramp": 0.5}
+    turned = {}
+    for name, forces in (("without", []), ("pulled", [pull])):
+        stage = staged({"fps": 10, "duration": 1.0, "neck": {}, "forces": forces})
+        assert stage.neck is not None
+        assert stage.neck.notices == []
+        turned[name] = np.array([stage.neck.head(time).twist[1] for time in (0.0, 0.3, 0.8)])
+    first, growing, whole = np.degrees(turned["pulled"] - turned["without"])
+    assert abs(first) < 1e-6
+    assert -0.05 > growing > whole  # its left side comes forward
+
+
 def test_forces_that_the_neck_does_not_feel_are_told() -> None:
     pytest.importorskip("mujoco")
-    forces = [{"kind": "gravity"}, {"kind": "wind", "m_s": [0, 0, -20]}]
+    pull = {"kind": "point", "at": [20, 0, 80], "mn": [0, 0, 10]}
+    forces = [{"kind": "gravity"}, {"kind": "wind", "m_s": [0, 0, -20]}, pull]
     told = {}
     for muscles in (True, False):
         scene = {"fps": 5, "duration": 0.2, "neck": {"muscles": muscles}, "forces": forces}
