@@ -256,7 +256,9 @@ class _Bench:
         plain = vars(subjects.builtin_options())
         given = argparse.Namespace(**plain, quick=self.quick, model=None, before=None)
         (figures,) = neck_skin.run(given)["people"].values()
-        return dict(figures)
+        return {
+            name: value for name, value in figures.items() if not isinstance(value, dict | list)
+        }
 
     def head(self, file: Path, fps: float | None = None) -> Figures:
         """Return how the head of a recording is followed, over the frames within range."""
