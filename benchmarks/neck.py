@@ -337,6 +337,7 @@ def section(figures: Figures) -> Section:
     flat = {
         **{name: value for name, value in figures.items() if isinstance(value, int | float)},
         **{f"push {name}": value for name, value in figures.get("push", {}).items()},
+        **{f"head {name}": figures.get("head", {}).get(name) for name in ("rms_deg", "max_deg")},
     }
     rows = [[name.replace("_", " "), value] for name, value in flat.items()]
     return Section(

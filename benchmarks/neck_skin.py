@@ -294,7 +294,7 @@ def section(figures: Figures) -> Section:
     """Return the section of the document."""
     names = (
         *("rim_mm", "girth_change", "flipped", "area_ratio_p1", "seam_mm", "glb_mm"),
-        *("chin_mm", "chin_uncoupled_mm", "inverted", "frame_ms"),
+        *("chin_mm", "chin_uncoupled_mm", "inverted"),
     )
     people = figures["people"]
     rows = [[name, *(people[person][name] for person in people)] for name in names]
