@@ -19,7 +19,7 @@ export async function askForJob({ marker_set: set = null, options = {}, ...reque
   const priority = priorityField(0);
   const handed = await handedOnFields(kind, request);
   const fields = optionFields(kind.options, options);
-  const neck = await addNeckField(kind, fields, request.subject_id);
+  const neck = await addNeckField(kind, fields, request);
   return ask({
     title: kind.title,
     body: [h("p", {}, kind.description), handed.element, fields, priority],
@@ -39,7 +39,7 @@ export async function askToRunAgain(job) {
   const kind = (await kindsByName()).get(job.kind);
   const priority = priorityField(job.priority);
   const fields = optionFields(kind.options, job.options);
-  await addNeckField(kind, fields, job.subject_id, job.captures);
+  await addNeckField(kind, fields, job, true);
   const note = "It reads the same scans and files, as they are now; nothing is uploaded again. The first job stays.";
   return ask({
     title: `${kind.title}: run again`,

@@ -12,15 +12,15 @@ const OPENSIM = ".osim";
  * Add a list of necks to a form's `fields` where a kind's scene may have one, and return what reads
  * the chosen file: `read()` gives its id in a list, empty without one.
  *
- * OpenSim files among the person's assets are offered; `captures` names the only ones that the job can
- * read, null is all.
+ * OpenSim files among the person's assets are offered, of a job that reads what it did (`isAgain`)
+ * those among its `captures` alone.
  */
-export async function addNeckField(kind, fields, subjectId, captures = null) {
+export async function addNeckField(kind, fields, { subject_id: person, captures = [] }, isAgain = false) {
   const scene = fields.elements["option-scene"];
   const rules = scene && neckOf(kind.options);
   if (!rules) return { read: () => [] };
-  const files = [...(await capturesById(subjectId, captures ?? [])).values()].filter((each) => (
-    each.role === "asset" && each.filename.toLowerCase().endsWith(OPENSIM) && (captures?.includes(each.id) ?? true)));
+  const known = [...(await capturesById(person, captures)).values()].filter(({ id }) => !isAgain || captures.includes(id));
+  const files = known.filter(({ role, filename }) => role === "asset" && filename.toLowerCase().endsWith(OPENSIM));
   const list = h("select", { id: "scene-neck", "aria-describedby": "scene-neck-help", onchange: () => write(scene, list.value) });
   const follow = () => showChoice(list, files, scene);
   scene.addEventListener("input", follow);
