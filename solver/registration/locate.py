@@ -18,7 +18,7 @@ from solver.anatomy.template import Template
 from solver.errors import Finding, InputError
 from solver.meshio.raw import RawScan
 from solver.registration.landmarks import landmark_vertices
-from solver.registration.scan_surface import Samples, orient_outward, sample
+from solver.registration.scan_surface import Samples, orient_outward
 from solver.registration.search import (
     QUICK_SEARCH,
     REFINEMENT,
@@ -51,7 +51,6 @@ from solver.registration.units import (
 from solver.similarity import Similarity, fit_similarity
 from solver.surface import Floats, Ints, Surface, vertex_areas
 
-SCAN_SAMPLES = 60_000  # points that stand for a scan
 EXTENTS = (1e-9, 1e9)  # least and greatest extent of a scan in its own unit, whatever that is
 AROUND_FACE_MM = np.full((2, 3), 25.0)  # below and above the face: what is looked at closely
 
@@ -62,16 +61,6 @@ def face_surface(template: Template) -> Surface:
     is_face = np.zeros(len(skin.vertices), bool)
     is_face[template.face_vertices] = True
     return Surface(skin.vertices, skin.faces[is_face[skin.faces].all(axis=1)])
-
-
-def scan_samples(scan: RawScan) -> Samples:
-    """Return points spread over the scan, in its own frame; what is not a number is left out."""
-    finite = np.asarray(np.isfinite(scan.vertices).all(axis=1))
-    vertices = np.where(finite[:, None], scan.vertices, 0.0)
-    if len(scan.faces):
-        return sample(vertices, scan.faces[finite[scan.faces].all(axis=1)], None, SCAN_SAMPLES)
-    normals = None if scan.normals is None else np.nan_to_num(scan.normals[finite])
-    return sample(vertices[finite], scan.faces, normals, SCAN_SAMPLES)
 
 
 @dataclass(frozen=True)
@@ -113,8 +102,8 @@ def locate_face(
 ) -> Location:
     """Find the best place of the face in a scan, however bad, and with it unit and axes.
 
-    ``scan`` is mended, in its own unit and axes, ``samples`` are of it (:func:`scan_samples`);
-    ``frame`` holds the options ``unit``, ``eye_distance_mm``, ``up`` and ``forward``, as
+    ``scan`` is mended, in its own unit and axes, ``samples`` are of it; ``frame`` holds the options
+    ``unit``, ``eye_distance_mm``, ``up`` and ``forward``, as
     :data:`~solver.registration.units.FRAME`. Landmarks (``marks``), points (k, 3) of the scan and
     of the template, replace the search: who sets them has seen a face.
 

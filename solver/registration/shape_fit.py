@@ -241,6 +241,9 @@ def fit_shapes(
     """
     count = len(shapes.prior)
     weights = np.zeros(count)
+    motions = np.full(7 if sizes else 6, np.inf)
+    lower = np.concatenate([np.where(shapes.bounded, 0.0, -np.inf), -motions])
+    upper = np.concatenate([np.where(shapes.bounded, options.strongest, np.inf), motions])
     for reach in options.reaches_mm:
         model = shapes.at(weights)
         rows = shapes.used
@@ -261,24 +264,13 @@ def fit_shapes(
         right = -weighted.T @ (pairs.offset + basis @ weights)
         normal[:count, :count] += shapes.prior
         normal[np.diag_indices_from(normal)] += 1e-9
-        solution = _solve(normal, right, shapes.bounded, options.strongest)
+        root = np.linalg.cholesky(normal)
+        solution = lsq_linear(root.T, np.linalg.solve(root, right), (lower, upper)).x
         weights = solution[:count]
         step = solution[count:]
         growth = float(np.clip(step[6], -options.growth, options.growth)) if sizes else 0.0
         motion = motion.then(small_motion(step[:6], growth))
     return ShapeFit(weights, shapes.at(weights), motion)
-
-
-def _solve(normal: Floats, right: Floats, bounded: NDArray[np.bool_], strongest: float) -> Floats:
-    """Minimise x N x / 2 - r x, those of the first unknowns that are ``bounded`` within bounds."""
-    if not bounded.any():
-        return np.asarray(np.linalg.solve(normal, right))
-    root = np.linalg.cholesky(normal)
-    lower = np.full(len(right), -np.inf)
-    upper = np.full(len(right), np.inf)
-    lower[: len(bounded)][bounded] = 0.0
-    upper[: len(bounded)][bounded] = strongest
-    return np.asarray(lsq_linear(root.T, np.linalg.solve(root, right), (lower, upper)).x)
 
 
 RIGID_REACHES_MM = (12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0, 3.0, 3.0, 3.0, 3.0, 3.0)  # of the rounds

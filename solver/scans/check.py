@@ -31,9 +31,8 @@ from solver.registration.locate import (
     locate_face,
     location_findings,
     near_face,
-    scan_samples,
 )
-from solver.registration.scan_surface import Samples, estimated_normals
+from solver.registration.scan_surface import Samples, estimated_normals, sample
 from solver.registration.search import face_points
 from solver.registration.units import check_frame
 from solver.scans.cover import FAR_MM, Cover, cover, has_second_face, visible_part
@@ -178,7 +177,7 @@ def _check(
     result.figures |= {"vertices": len(raw.vertices), "triangles": len(raw.faces)}
     if len(scan.vertices) < 100 or (len(raw.faces) and not len(scan.faces)):
         raise InputError("scan.empty", f"{raw.file} holds no surface", file=raw.file)
-    samples = scan_samples(scan)
+    samples = sample(scan.vertices, scan.faces, scan.normals)
     surface = face_surface(template)
     face = face_points(surface)
     marking: list[Finding] = []
