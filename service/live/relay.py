@@ -48,7 +48,7 @@ class RelayOptions:
     sends: float = 60.0  # for a client that takes nothing
 
 
-class Connection:
+class RelayedClient:
     """A client's connection to a session, with its ticket, until either ends it."""
 
     def __init__(

@@ -66,7 +66,7 @@ def run(task: Task[FitTracks]) -> list[Path]:
     systems = fits.carried_systems(rig, scans)
     for number, (letter, driven) in enumerate(faces.items()):
         begin = time.perf_counter()
-        span = fits.Span(0.2, 0.5).part(number, len(faces))
+        span = fits.JobPart(0.2, 0.5).part(number, len(faces))
         found = _fit_system(driven, SYSTEMS[letter], scans, targets, given, log.branch(), span)
         systems[letter] = systems[letter].replaced(found) if letter in systems else found
         seconds[SYSTEMS[letter]] = time.perf_counter() - begin
@@ -113,7 +113,7 @@ def _with_muscles(
     if not missing:
         return rig
     wanted = {name: targets[name] for name in missing}
-    fitted = fits.fit_unseen(face, missing, wanted, log, fits.Span(0.02, 0.2))
+    fitted = fits.fit_unseen(face, missing, wanted, log, fits.JobPart(0.02, 0.2))
     kept = [fit for fit in rig.expressions if fit.name not in missing]
     return replace(rig, expressions=(*kept, *fitted))
 
@@ -125,7 +125,7 @@ def _fit_system(
     targets: Mapping[str, Target],
     given: FitTracks,
     log: fits.WarningLog,
-    span: fits.Span,
+    span: fits.JobPart,
 ) -> System:
     """Fit weights and jaw to every scan; ``name`` is that of the system."""
     options = TrackFitOptions(given.w_w, given.w_j, BOUNDS[given.bounds])

@@ -20,7 +20,7 @@ from solver.surface import Floats
 
 TRANSFORM = "KHR_texture_transform"
 DATA = re.compile(r"data:image/[a-z+.-]+;base64,", re.IGNORECASE)
-WHITE = (1.0, 1.0, 1.0, 1.0)
+WHITE = (1.0, 1.0, 1.0, 1.0)  # the factor that leaves a colour and its opacity as they are
 
 
 def to_srgb(linear: Floats) -> Floats:

@@ -63,11 +63,11 @@ FAR_OUTSIDE = 1.0  # of a picture's size that a principal point may be off it: c
 GRID = 24  # points along a picture's side where a distortion is tried
 ROUNDS = 100  # of taking a distortion out; strong ones need most
 OFF_PX = 0.05  # that a distortion may bring back a pixel
-# A curve crosses itself if it cuts off a loop as wide as this, px or by its extent: lips that meet
-# and lids that are shut are traced to and fro along one line.
-LOOP_PX = 1.5
-LOOP_SHARE = 0.02
-MOST_CROSSINGS = 200
+# A curve crosses itself if it cuts off a loop as wide as this: lips that meet and lids that are
+# shut are traced to and fro along one line.
+LOOP_PX = 1.5  # the least width ...
+LOOP_SHARE = 0.02  # ... and the same by the curve's extent
+MOST_CROSSINGS = 200  # of a curve that are looked at
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ from solver.photo.expression import (
     place_views,
     shading_of,
 )
-from solver.photo.fit import PhotoFit, PhotoPoint, PhotoProblem, View
+from solver.photo.fit import PhotoFit, PhotoPoint, PhotoProblem, PhotoView
 from solver.photo.light import Appearance
 from solver.photo.photo import Photo
 from solver.photo.shading import blocked_light
@@ -198,8 +198,8 @@ class FilmTracker(Generic[State]):
         return FilmFrame(found.point, found.steps, found.value)
 
     def _shaded(
-        self, photo: Photo, view: View, point: PhotoPoint[State], options: ShadingOptions
-    ) -> View:
+        self, photo: Photo, view: PhotoView, point: PhotoPoint[State], options: ShadingOptions
+    ) -> PhotoView:
         """Return the view with the light that was found on the face of the frame before, too."""
         model = self.face.face.model
         skin = model.skin.with_vertices(point.skin)

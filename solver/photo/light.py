@@ -29,7 +29,7 @@ FAR_MM = 1e6  # where nothing is seen
 
 
 @dataclass(frozen=True)
-class SampleOptions:
+class PixelOptions:
     """What of the skin in a picture is compared with it."""
 
     outline_px: int = 3  # pixels so near to an outline or a step in depth are left out
@@ -62,7 +62,7 @@ def visible_samples(
     pixels: Floats,
     every_px: int,
     mask: NDArray[np.bool_] | None = None,
-    options: SampleOptions = SampleOptions(),
+    options: PixelOptions = PixelOptions(),
 ) -> SkinSamples:
     """Return points of the skin that a picture (h, w, 3), linear RGB, shows: a grid of its pixels.
 

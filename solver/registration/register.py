@@ -62,9 +62,8 @@ def find_start(
     return scan_surface(raw, place.mm_per_unit), place, findings
 
 
-# A face that free form covers less, or leaves farther off on average, is none.
-LEAST_COVER = 0.15
-FARTHEST_MM = 1.0
+LEAST_COVER = 0.15  # of a face by free form: with less it is none
+FARTHEST_MM = 1.0  # that it is off on average: farther it is none
 STILL = 0.1  # least weight of the vertices on which an expression's head is aligned
 
 

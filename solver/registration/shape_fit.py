@@ -25,11 +25,10 @@ from solver.registration.topology import Topology
 from solver.similarity import Similarity, robust_weights, small_motion
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
-# Normals further apart are not of the same place: of a scan's surface, of its samples; those
-# that are closer than the last count in full.
-SURFACE_COSINE = 0.5
-SAMPLES_COSINE = 0.6
-FULL_COSINE = 0.9
+# Cosines of normals: those further apart are not of the same place.
+SURFACE_COSINE = 0.5  # of a model and a scan's surface
+SAMPLES_COSINE = 0.6  # of a model and a scan's samples
+FULL_COSINE = 0.9  # closer ones count in full
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,9 @@ from solver.neck.anatomy import JOINTS, Muscle, Neck, NeckPose
 from solver.rig.pictures import ThreadOptions, tubes
 from solver.surface import Floats, Surface, join_surfaces
 
-SLACK = (0.95, 0.74, 0.68)
-STRONG = (0.66, 0.05, 0.08)
+# sRGB
+SLACK = (0.95, 0.74, 0.68)  # of a muscle that does nothing
+STRONG = (0.66, 0.05, 0.08)  # of one at its utmost
 
 
 @dataclass(frozen=True)

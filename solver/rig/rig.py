@@ -94,7 +94,7 @@ class ExpressionFit:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShapeFit(ExpressionFit):
+class SystemFit(ExpressionFit):
     """One expression, fitted by weights of K shapes and a jaw instead of muscles.
 
     Its ``activations`` are what the shapes ask of the muscles, its ``jaw`` is that of the shapes
@@ -115,7 +115,7 @@ class System:
     """
 
     shapes: tuple[str, ...]  # names of the K shapes
-    expressions: tuple[ShapeFit, ...]
+    expressions: tuple[SystemFit, ...]
 
     def without(self, scans: Mapping[str, Floats]) -> System:
         """Return the system without the expressions that have other ``scans`` (v, 3) now."""
@@ -443,7 +443,7 @@ def _system_from(about: Mapping[str, Any], data: Arrays, model: SubjectModel, pa
         if data[name].shape != (len(data["names"]), size):
             raise ValueError(f"{name} are {data[name].shape}")
     fits = [
-        ShapeFit(**vars(fit), **{name: data[name][k] for name in controls})
+        SystemFit(**vars(fit), **{name: data[name][k] for name in controls})
         for k, fit in enumerate(_expressions_from(data, model, path))
     ]
     return System(shapes, tuple(fits))

@@ -22,7 +22,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class MotionOptions:
+class TakeApartOptions:
     """Settings of taking a motion apart; lengths in mm, times in s."""
 
     head_rounds: int = 4  # of head motion and middle face in turns
@@ -39,7 +39,7 @@ class MotionOptions:
     noise: float = 1.5  # off the shapes; how much a frame's weights keep to what is usual
 
 
-MOTION = MotionOptions()
+MOTION = TakeApartOptions()
 
 
 @dataclass(frozen=True)
