@@ -73,12 +73,14 @@ def run(task: Task[FitTracks]) -> list[Path]:
     options = given.model_dump(exclude={"linear_solver"})
     settings = {**(rig.figures or {}).get("settings", {}), "tracks": options}
     whole = replace(rig, seconds=seconds, notices=log.general, systems=systems)
-    information = known_information(parent) if _trained(rig) == _trained(parent) else None
+    information = (
+        known_information(parent) if _training_names(rig) == _training_names(parent) else None
+    )
     ending = part_of(progress, 0.5)
     return fits.leave_systems(face, whole, settings, task.out, ending, information)
 
 
-def _trained(rig: Rig) -> list[str]:
+def _training_names(rig: Rig) -> list[str]:
     """Return the names of the expressions that S was fitted to."""
     return [fit.name for fit in rig.expressions if fit.role == "train"]
 

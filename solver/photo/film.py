@@ -191,13 +191,13 @@ class FilmTracker(Generic[State]):
         begun = replace(before, cameras=(view.camera,))
         placed = minimise(held, begun, TrustRegion(fit.damping), self.options.stop).point
         if options.shading is not None and self.look is not None:
-            view = self._shaded(photo, view, placed, options.shading)
+            view = self._shade(photo, view, placed, options.shading)
         walk = RandomWalk(before, noise, sd, follows_head=not is_cut)
         problem = FrameProblem(PhotoProblem(self.face, (view,), fit, moves_face=True), walk)
         found = minimise(problem, placed, TrustRegion(fit.damping), self.options.stop)
         return FilmFrame(found.point, found.steps, found.value)
 
-    def _shaded(
+    def _shade(
         self, photo: Photo, view: PhotoView, point: PhotoPoint[State], options: ShadingOptions
     ) -> PhotoView:
         """Return the view with the light that was found on the face of the frame before, too."""
