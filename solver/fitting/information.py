@@ -169,6 +169,6 @@ def inverse_of_positive(matrix: Floats) -> Floats:
 
 @cache
 def _above(size: int) -> tuple[Ints, Ints]:
-    """Return the places above the diagonal of a matrix of so many rows."""
+    """Return the rows and columns above the diagonal of a square matrix."""
     rows, columns = np.triu_indices(size, 1)
     return rows, columns

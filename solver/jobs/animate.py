@@ -170,7 +170,7 @@ def _told_of(take: FaceTake, played: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass
 class _Played:
-    """What is left and told of how frames are played."""
+    """Figures and arrays about the played frames, for the report and the sequence."""
 
     files: list[Path] = field(default_factory=list)
     figures: dict[str, Any] = field(default_factory=dict)

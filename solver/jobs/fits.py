@@ -306,7 +306,7 @@ class WarningLog:
         self._notices: list[Finding] = []
 
     def branch(self) -> WarningLog:
-        """Return a log of other fits of the same expressions, with what is known of them so far."""
+        """Return a new log for further fits of the same expressions, with the notices so far."""
         other = WarningLog(self._model, self._progress)
         other._notices = [*self._notices]
         return other
@@ -327,7 +327,7 @@ class WarningLog:
             self._progress(Step("warning", fraction, message=notice.message))
 
     def about(self, fit: Fit, fraction: float, solve: Iterable[Finding]) -> Fit:
-        """Return a fit with the notices of it, of its ``solve`` and of what it leaves."""
+        """Return a fit with its notices: from its checks, its ``solve`` and its result."""
         own = {"expression": fit.name}
         self.warn(fraction, [replace(each, context={**own, **each.context}) for each in solve])
         self.warn(fraction, find_disagreements(fit.name, fit.known))

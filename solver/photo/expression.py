@@ -73,7 +73,7 @@ class ShadingOptions:
 
 @dataclass(frozen=True)
 class FocalOptions:
-    """What is supposed of a focal length that nobody knows."""
+    """Prior of an unknown focal length."""
 
     sides: float = 1.3  # times the picture's longer side, px
     deviation: float = 0.35  # of its logarithm: wide angle to portrait lens

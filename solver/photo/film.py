@@ -53,7 +53,7 @@ from solver.tracks.plain import PlainFace
 
 @dataclass(frozen=True)
 class StepNoise:
-    """What changes from a frame to the next, as standard deviations."""
+    """Standard deviations of the change from one frame to the next."""
 
     weight: float = 0.15  # of a shape
     turn: float = 0.05  # of the head about each of the camera's axes, rad
@@ -223,7 +223,7 @@ def turn_and_shift(before: PinholeCamera, after: PinholeCamera) -> Floats:
 
 @dataclass(frozen=True)
 class RandomWalk(Generic[State]):
-    """What a frame supposes by the one before; ``sd`` is what grows with the frames between."""
+    """Prior of a frame by the one before; ``sd`` grows with the frames between them."""
 
     before: PhotoPoint[State]
     noise: StepNoise

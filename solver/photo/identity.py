@@ -43,7 +43,7 @@ from solver.tracks.fit import TrackFitOptions
 
 @dataclass(frozen=True)
 class IdentityOptions:
-    """Options of :func:`fit_identity`; shading, the jaw and bounds of weights are not of it."""
+    """Options of :func:`fit_identity`, which uses no shading, no jaw and no bounds."""
 
     # weights of expressions are dearer than those of a person who is known: whoever is new may
     # have full cheeks and does not puff them

@@ -30,7 +30,7 @@ FAR_MM = 1e6  # where nothing is seen
 
 @dataclass(frozen=True)
 class PixelOptions:
-    """What of the skin in a picture is compared with it."""
+    """Options that choose the pixels of the skin that are compared."""
 
     outline_px: int = 3  # pixels so near to an outline or a step in depth are left out
     step_mm: float = 4.0  # of depth between neighbouring pixels, that is a step
@@ -41,7 +41,7 @@ class PixelOptions:
 
 @dataclass(frozen=True)
 class LightOptions:
-    """How albedo and light are told apart."""
+    """Options of separating albedo and light."""
 
     smooth: float = 3.0  # price of albedo's differences along the skin, by samples a vertex
     rounds: int = 8  # of light and albedo in turn

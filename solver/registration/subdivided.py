@@ -32,7 +32,7 @@ class Subdivided:
 
     @classmethod
     def of(cls, skin: Surface, levels: int) -> Subdivided:
-        """Return a skin whose triangles are divided in four so many times, each time smoothed."""
+        """Return a skin whose triangles are divided in four ``levels`` times, and smoothed."""
         vertices, faces = igl.loop(skin.vertices, skin.faces, levels)
         return cls(Surface(np.asarray(vertices), np.asarray(faces, np.int64)), levels)
 

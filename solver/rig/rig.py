@@ -108,7 +108,7 @@ class SystemFit(ExpressionFit):
 
 @dataclass(frozen=True)
 class System:
-    """Expressions of a rig's face that something else than its muscles drives.
+    """A rig's expressions fitted without its muscles: by muscle tracks (T) or plain shapes (B).
 
     In a rig's ``systems`` they are ``T``, muscle tracks, and ``B``, plain blendshapes; ``S``, its
     muscles, are its own expressions. Scans of one name are the same in all of them.

@@ -29,7 +29,7 @@ LISTS = (b"#EXTM3U", b"ffconcat")  # of other files
 
 @dataclass(frozen=True)
 class FilmLimits:
-    """What is read of films."""
+    """Limits of the films that are read."""
 
     least_side: int = 64  # px
     most_pixels: int = 36 << 20  # what cameras film

@@ -267,7 +267,7 @@ def write_video(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], f
 
 
 @dataclass(frozen=True)
-class VideoOptions:
+class FilmingOptions:
     """Frames of the picture and the film."""
 
     shots: int = 8  # frames in the picture
@@ -291,7 +291,7 @@ def write_animation(
     objects: Sequence[SceneObject] = (),
     joints: Joints | None = None,
     video: bool = False,
-    options: VideoOptions = VideoOptions(),
+    options: FilmingOptions = FilmingOptions(),
 ) -> list[Path]:
     """Write ``frames``, whose ``skins`` (f, v, 3) are in the head's frame, mm; return the paths.
 
@@ -340,7 +340,7 @@ def write_animation(
 
 
 def _film(
-    filming: Filming, count: int, shot: Callable[[int], Shot], options: VideoOptions
+    filming: Filming, count: int, shot: Callable[[int], Shot], options: FilmingOptions
 ) -> Iterator[Pixels]:
     """Draw all frames; light, which takes longest, is interpolated between some of them."""
     light = filming.light(shot(0).skin)

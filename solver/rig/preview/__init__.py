@@ -112,7 +112,7 @@ class Preview:
     dropped: int  # number of poses to measure with that could not
 
     def figures(self) -> dict[str, Any]:
-        """Return what is told of it, as JSON values; lengths in mm."""
+        """Return the figures for a report, as JSON values; lengths in mm."""
         return {
             "controls": len(self.controls),
             "modes": len(self.skin.basis),

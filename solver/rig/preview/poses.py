@@ -147,7 +147,7 @@ def _alike(
     amounts: tuple[float, float],
     asymmetry: float,
 ) -> Floats:
-    """Return values (k,) of so many random controls of a kind, both sides about alike."""
+    """Return random values (k,) of one kind of controls, similar on both sides of the face."""
     sides: dict[str, list[int]] = {}
     for number in controls.of_kind(kind):
         name = controls.each[number].name

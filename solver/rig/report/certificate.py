@@ -117,7 +117,7 @@ def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) ->
 
 @dataclass(frozen=True)
 class StrayOptions:
-    """Flesh of a muscle that counts as outside of it."""
+    """Limits beyond which a muscle's flesh counts as outside of the muscle."""
 
     # its tet's middle lies further from the muscle's surface: people's muscles vary by millimetres
     beyond_mm: float = 5.0

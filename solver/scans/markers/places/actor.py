@@ -163,7 +163,7 @@ def _find_rest(take: Take, faults: Faults, rate: float) -> tuple[tuple[int, int]
 
 
 def _at_rest(motion: Motion, rows: tuple[int, int]) -> Floats:
-    """Return markers (k, 3) at rest in the head's frame; one that is hidden as others have it."""
+    """Return markers (k, 3) at rest in the head's frame; hidden ones follow from the others."""
     span = slice(rows[0], rows[1] + 1)
     rest = median_of_seen(motion.places[span])
     expected = median_of_seen(motion.expected[span])
