@@ -68,6 +68,7 @@ class Location:
     """The face in a scan: its pose, its size, and its place in mm."""
 
     pose: FacePose
+    near: Samples  # of the scan, in its own frame, that the pose puts about the face
     likeness: ShapeFit | None  # of the template to the face; None where there is surely none
     is_face: bool
     size: FaceSize  # and the unit of the file
@@ -127,11 +128,12 @@ def locate_face(
         pose = refine_pose(face, samples, KDTree(samples.points), start, start.scale)
     motion = pose.motion
     certain = marks is not None
-    likeness, is_face = _judge_likeness(pose, samples, template, surface, certain=certain)
+    about = around(motion(samples.points), surface, AROUND_FACE_MM)
+    near = Samples(samples.points[about], samples.normals[about], samples.oriented)
+    likeness, is_face = _judge_likeness(pose, samples, near, template, surface, certain=certain)
     unit = choose_unit(motion.scale, given, scan.mm_per_unit)
     eyes = None
     if likeness is not None:
-        near = near_face(samples, motion, surface)
         eyes = _measure_eyes(likeness, near, template, surface, marks)
     wanted = frame.get("eye_distance_mm")
     if wanted is not None and eyes is not None:
@@ -145,6 +147,7 @@ def locate_face(
     there = factor * motion.inverse()(centre[None])[0]
     return Location(
         pose=pose,
+        near=near,
         likeness=likeness,
         is_face=is_face,
         size=FaceSize(unit, factor / motion.scale, *apart),
@@ -163,23 +166,22 @@ def around(points: Floats, face: Surface, margins: Floats) -> NDArray[np.bool_]:
     return np.asarray(((points > low) & (points < high)).all(axis=1))
 
 
-def near_face(samples: Samples, motion: Similarity, face: Surface) -> Samples:
-    """Return the samples, in their own frame, about the ``face`` that ``motion`` takes them to."""
-    near = around(motion(samples.points), face, AROUND_FACE_MM)
-    return Samples(samples.points[near], samples.normals[near], samples.oriented)
-
-
 def _judge_likeness(
-    pose: FacePose, samples: Samples, template: Template, face: Surface, *, certain: bool
+    pose: FacePose,
+    samples: Samples,
+    near: Samples,
+    template: Template,
+    face: Surface,
+    *,
+    certain: bool,
 ) -> tuple[ShapeFit | None, bool]:
-    """Return the likeness to what is at a pose, and whether it is a face; it may be ``certain``.
+    """Return the likeness to what is ``near`` a pose, and whether it is a face; ``certain``: it is.
 
     A doubtful pose is a face's if it is one once the template looks like the person. A template
     without shapes stays as it is.
     """
     if not (certain or pose.is_face or pose.cost <= SECOND.most_cost):
         return None, False
-    near = near_face(samples, pose.motion, face)
     if len(near.points) < REFINEMENT.least_points:  # landmarks may lie off the scan
         return None, False
     is_face = certain or pose.is_face

@@ -92,8 +92,12 @@ def scan_surface(scan: RawScan, mm_per_unit: float) -> ScanSurface:
     """
     vertices = mm_per_unit * scan.vertices
     if len(scan.faces):
-        thin = _thin(Surface(vertices, scan.faces), SURFACE.max_vertices)
-        surface = _drop_debris(thin, SURFACE.small_piece)
+        surface = _thin(Surface(vertices, scan.faces), SURFACE.max_vertices)
+        graph = adjacency(surface.faces, len(surface.vertices))
+        piece = connected_components(graph, directed=False)[1][surface.faces[:, 0]]
+        area = np.nan_to_num(igl.doublearea(surface.vertices, surface.faces))
+        share = np.bincount(piece, area) / max(float(area.sum()), 1e-12)
+        surface = part_of(surface, np.flatnonzero(share[piece] >= SURFACE.small_piece))
         check_size(len(surface.vertices), scan.file)
         return MeshScan(turn_outward(surface))
     points = _thin_points(vertices, SURFACE.max_vertices)
@@ -199,15 +203,6 @@ def mean_by_cell(values: Floats, number: Ints) -> Floats:
     """Return the means (c, 3) of the values (n, 3) in each cell, given the cell of each."""
     sums = np.stack([np.bincount(number, column) for column in values.T], axis=1)
     return np.asarray(sums / np.bincount(number)[:, None])
-
-
-def _drop_debris(surface: Surface, least_share: float) -> Surface:
-    count = len(surface.vertices)
-    label = connected_components(adjacency(surface.faces, count), directed=False)[1]
-    area = np.nan_to_num(igl.doublearea(surface.vertices, surface.faces))
-    owner = label[surface.faces[:, 0]]
-    share = np.bincount(owner, area) / max(float(area.sum()), 1e-12)
-    return part_of(surface, np.flatnonzero(share[owner] >= least_share))
 
 
 def turn_outward(surface: Surface) -> Surface:
