@@ -49,7 +49,7 @@ from solver.anatomy.template import CORRECTED, ShapeBasis, Template, split_side
 from solver.animation.blendshapes import expression_targets
 from solver.fitting.face import Face
 from solver.model import SubjectModel
-from solver.rig.report.certificate import Muscles, jaw_motion, muscles
+from solver.rig.report.certificate import ExpressionMuscles, jaw_motion, muscles
 from solver.rig.report.prime_movers import MoverOptions, Movers, movers, rank_contractions
 from solver.surface import Surface
 
@@ -299,18 +299,18 @@ def mixture_summary(mixtures: Iterable[Figures]) -> Figures:
     }
 
 
-def _muscles(fits: Fits, name: str) -> Muscles:
+def _muscles(fits: Fits, name: str) -> ExpressionMuscles:
     face = fits.face
     return muscles(face.model, face.flesh.volumes, face.S, fits.states[name].pose.a)
 
 
-def _movers(model: SubjectModel, found: Muscles, actions: Sequence[Action]) -> Movers:
+def _movers(model: SubjectModel, found: ExpressionMuscles, actions: Sequence[Action]) -> Movers:
     wholes = dict(zip(model.muscle_names, model.muscle_groups, strict=True))
     ranked = rank_contractions(model.muscle_names, found.contraction, found.is_judged)
     return movers(ranked, wholes, actions)
 
 
-def _fit(fits: Fits, name: str, found: Muscles) -> Figures:
+def _fit(fits: Fits, name: str, found: ExpressionMuscles) -> Figures:
     """Return the figures that any fit has."""
     model = fits.face.model
     jaw = jaw_motion(model, fits.face.jaw.matrix(fits.states[name].pose.b))

@@ -24,8 +24,8 @@ from solver.model import SubjectModel
 from solver.rig.report.certificate import (
     SYMMETRY,
     ExpressionCheck,
+    ExpressionMuscles,
     JawFigures,
-    Muscles,
     certify,
     muscles,
 )
@@ -177,9 +177,9 @@ def bite_beyond_neutral(model: SubjectModel, crossings: Sequence[Crossing | None
     return max(max(bites) - rest, 0.0) if bites and rest is not None else None
 
 
-def muscle_figures(expressions: Sequence[Muscles]) -> Figures:
+def muscle_figures(expressions: Sequence[ExpressionMuscles]) -> Figures:
     """Return the worst of what muscles with flesh enough to be judged do; None without any."""
-    columns: dict[str, Callable[[Muscles], Any]] = {
+    columns: dict[str, Callable[[ExpressionMuscles], Any]] = {
         "volume_worst_percent": lambda found: 100.0 * np.abs(found.volume - 1.0),
         "fibres_longest": lambda found: found.fibres,
         "stretch_longest": lambda found: found.longest,
@@ -193,7 +193,7 @@ def muscle_figures(expressions: Sequence[Muscles]) -> Figures:
 
 
 def bound_figures(
-    face: Face, a: Floats, found: Muscles, options: BoundOptions = BoundOptions()
+    face: Face, a: Floats, found: ExpressionMuscles, options: BoundOptions = BoundOptions()
 ) -> Figures:
     """Return how many muscles are at a bound of what muscles can do, or beyond it.
 
@@ -205,7 +205,7 @@ def bound_figures(
     return {"at_bound": int(near.any(axis=1).sum()), "at_fibre_bound": int(near[:, 0].sum())}
 
 
-def lengthened(found: Muscles) -> int:
+def lengthened(found: ExpressionMuscles) -> int:
     """Return how many muscles lengthen, more than one at rest may."""
     return int((found.is_judged & (found.contraction <= -STILL.lengthened)).sum())
 
@@ -223,7 +223,10 @@ def asymmetry(check: ExpressionCheck, options: EvennessOptions = EvennessOptions
 
 
 def pulling_closers(
-    model: SubjectModel, found: Muscles, jaw: JawFigures, options: CloserOptions = CloserOptions()
+    model: SubjectModel,
+    found: ExpressionMuscles,
+    jaw: JawFigures,
+    options: CloserOptions = CloserOptions(),
 ) -> dict[str, float]:
     """Return the muscles that close the jaw and contract while it is open, with how much."""
     if jaw.opening_mm <= options.open_mm:

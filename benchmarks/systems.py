@@ -32,7 +32,7 @@ from solver.fitting.face import Face
 from solver.fitting.objective import Target
 from solver.fitting.simplex import mix_by_stiffness
 from solver.fitting.stretches import IsochoricActivations, fibre_tensors
-from solver.jobs.fits import Span, WarningLog, fit_unseen
+from solver.jobs.fits import JobPart, WarningLog, fit_unseen
 from solver.kinds.scene import STIFFNESS_PA
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.flesh import IDENTITY as RELAXED
@@ -193,7 +193,7 @@ class _Person:
         key = "in_span" if part == "left_out" else part
         if key not in self._muscle_fits:
             parts = self._scans(part), self._targets(part), WarningLog(self._model, silent)
-            self._muscle_fits[key] = fit_unseen(self._muscles, *parts, Span(0.0, 1.0))
+            self._muscle_fits[key] = fit_unseen(self._muscles, *parts, JobPart(0.0, 1.0))
         return self._muscle_fits[key]
 
     def _targets(self, part: str) -> dict[str, Target]:

@@ -87,7 +87,7 @@ def own_store(scope: Scope) -> Callable[[Store, Caller, float], Awaitable[Store]
 def own_session(
     scope: Scope,
 ) -> Callable[[Store, Caller, float, Ballast, Request], Iterator[Session]]:
-    """Return the dependency that gives a session of it, which only reading does not commit.
+    """Return the dependency that opens a database session and commits it unless it only read.
 
     Whatever deletes finds room on a full disk: a key that leaked must be revoked then, too.
     """

@@ -140,7 +140,7 @@ def _schema_3_0(schema: JsonObject | bool) -> JsonObject:
 
 
 def _without_null(schema: JsonObject) -> JsonObject:
-    """Return a schema of the same values but null."""
+    """Return a schema that takes the same values except null."""
     if NULL not in schema.get("anyOf", ()):
         return schema
     rest = [each for each in schema["anyOf"] if each != NULL]

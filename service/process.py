@@ -53,7 +53,7 @@ def configure_logs(json: bool) -> None:
 
 
 def forbid_dumps() -> None:
-    """Keep other processes of the same user from reading memory and environment (Linux).
+    """Hide memory and environment from other processes of the same user (Linux).
 
     A solver reads strangers' files; one that was taken over must not find the service's secrets.
     """

@@ -384,5 +384,5 @@ def weights_hash(S: sp.csr_array) -> str:
 
 
 def identity(model: SubjectModel, S: sp.csr_array) -> dict[str, str]:
-    """Return what tells a person with S from any other: the hashes that files made of it keep."""
+    """Return the hashes of a model and its S, by which files know whom they are of."""
     return {"model": model.sha256, "weights": weights_hash(S)}

@@ -223,7 +223,7 @@ def csr_from(name: str, arrays: Arrays, columns: int) -> sp.csr_array:
 
 
 def with_prefix(arrays: Arrays, prefix: str) -> Arrays:
-    """Return the arrays whose names begin so, by the rest of their names."""
+    """Return the arrays whose names begin with ``prefix``, by the rest of their names."""
     named = {name: array for name, array in arrays.items() if name.startswith(prefix)}
     return {name.removeprefix(prefix): array for name, array in named.items()}
 

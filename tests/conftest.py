@@ -9,6 +9,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from itertools import chain, zip_longest
+from pathlib import Path
 from typing import Any, NoReturn
 
 # Beside other workers, threads of BLAS only wait for each other; numpy reads this once.
@@ -45,6 +46,14 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         builtin_template()
     except InputError as error:
         warnings.warn(f"no built-in anatomy: {error.message}", stacklevel=1)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave modules that `make quick` runs nothing of unread: importing them takes seconds."""
+    if not config.option.quick or collection_path.is_dir():
+        return None
+    module = collection_path.relative_to(config.rootpath).as_posix()
+    return None if module.startswith(UNITS) else True
 
 
 @pytest.hookimpl(tryfirst=True)

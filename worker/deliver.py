@@ -156,7 +156,7 @@ class Deliverer:
 
 
 def _body(delivery: ClaimedDelivery) -> bytes:
-    """Return the same bytes at every try."""
+    """Return the body of an event: the same bytes at every try."""
     told = {
         "type": delivery.type,
         "timestamp": delivery.created_at.isoformat(),

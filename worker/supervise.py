@@ -363,7 +363,7 @@ class Supervisor:
 
 
 def _check_quota(session: Session, claim: Claim, new: int) -> None:
-    """Raise OutputSizeError if the tenant has no room for so many bytes."""
+    """Raise OutputSizeError if the outputs do not fit into the tenant's quota."""
     free = free_bytes(session, claim.tenant_id)
     if free is not None and new > free:
         message = f"the job leaves {new} bytes, and the quota has room for {free}"

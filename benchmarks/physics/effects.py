@@ -23,7 +23,7 @@ from benchmarks.documents import Figures
 from solver.drawing.head import THREE_QUARTER, DrawnHead, face_camera
 from solver.drawing.render import render_bust
 from solver.drawing.sheet import HEADER, Sheet
-from solver.edits import Edited, Replay, Replayed, apply
+from solver.edits import Edited, EditReplay, Replayed, apply
 from solver.errors import SolveError
 from solver.fitting.drives.fibre_contraction import fit_contractions
 from solver.fitting.face import Face
@@ -31,7 +31,7 @@ from solver.kinds.scene import ContactEntry, EditScene, FleshEntry
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.rig import ExpressionFit, Rig
-from solver.rig.report.edit_report import Compared, EditedPerson, edit_report
+from solver.rig.report.edit_report import EditedExpression, EditedPerson, edit_report
 from solver.scene import Physics, edit_of
 from solver.scene.document import read_scene
 from solver.scene.places import Places
@@ -79,7 +79,7 @@ def run(subject: Subject, names: Sequence[str] = EFFECTS) -> dict[str, EditedPer
         edited = apply(edits, subject.model, subject.S)
         after, all_after = poses(edited, physics, subject.fits)
         compared = [
-            Compared(fit.name, one, other, fit.skin)
+            EditedExpression(fit.name, one, other, fit.skin)
             for fit, one, other in zip(subject.fits, all_before, all_after, strict=True)
         ]
         people[name] = EditedPerson(edited, before, after, compared)
@@ -120,7 +120,7 @@ def poses(
     edited: Edited, physics: Physics, fits: Sequence[ExpressionFit]
 ) -> tuple[Replayed, list[Replayed | None]]:
     """Return an edited person at rest and in expressions, None for one that finds no rest."""
-    replay = Replay(edited, physics.face(edited), physics.contacts(edited))
+    replay = EditReplay(edited, physics.face(edited), physics.contacts(edited))
     found: list[Replayed | None] = []
     for fit in fits:
         try:

@@ -77,7 +77,7 @@ def check_sqlite(path: Path) -> None:
 
 
 def _reading(path: Path) -> str:
-    """Return a dump's address for SQLite, which shall change nothing of it and beside it."""
+    """Return a dump's address for SQLite, read-only: nothing is written to it or beside it."""
     return f"file:{quote(str(path))}?mode=ro&immutable=1"
 
 

@@ -58,7 +58,7 @@ class Manifest(BaseModel):
 
     @property
     def stamp(self) -> str:
-        """The moment it was made, as file names and `myoface restore --at` have it."""
+        """The moment of the backup, as in file names and for `myoface restore --at`."""
         return self.made_at.strftime(STAMP)
 
 

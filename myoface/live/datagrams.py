@@ -18,7 +18,7 @@ class PacketError(ValueError):
 
 
 @dataclass
-class Counts:
+class PacketCounts:
     """Packets that came to a port."""
 
     good: int = 0
@@ -33,7 +33,7 @@ class Port:
     """
 
     def __init__(self, port: int, parse: Parse, allowed: str | None = None) -> None:
-        self.counts = Counts()
+        self.counts = PacketCounts()
         self.number = port  # 0: any that is free, known once it is open
         self.allowed = None if allowed is None else str(ip_address(allowed))
         self._parse = parse

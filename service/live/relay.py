@@ -48,7 +48,7 @@ class RelayOptions:
     sends: float = 60.0  # for a client that takes nothing
 
 
-class Connection:
+class RelayedClient:
     """A client's connection to a session, with its ticket, until either ends it."""
 
     def __init__(
@@ -193,7 +193,7 @@ class Connection:
                 return
 
     def _find_end(self) -> tuple[int, str] | None:
-        """Return why the connection is to end, as the tables have it; None: it is not."""
+        """Return why the tables say that the connection has to end; None if it goes on."""
         with self._store.read() as session:
             state = session.scalar(select(Job.state).where(Job.id == self._ticket.session_id))
             ends = (ApiKey.revoked_at, ApiKey.expires_at)

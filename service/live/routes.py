@@ -28,7 +28,7 @@ from service.idempotency import Once
 from service.jobs import repository as jobs
 from service.live import service
 from service.live.broker import LiveBroker, unreachable
-from service.live.relay import Connection, RelayOptions
+from service.live.relay import RelayedClient, RelayOptions
 from service.live.schemas import (
     NewSession,
     OpenedSession,
@@ -200,7 +200,7 @@ async def frames(socket: WebSocket, session_id: str, ticket: str = "") -> None:
         await connection.serve()
 
 
-async def _admit(socket: WebSocket, session_id: str, given: str, held: ExitStack) -> Connection:
+async def _admit(socket: WebSocket, session_id: str, given: str, held: ExitStack) -> RelayedClient:
     """Return the connection that a ticket opens, counted as long as ``held`` is open."""
     state = socket.app.state
     tickets: Tickets = state.tickets
@@ -216,7 +216,7 @@ async def _admit(socket: WebSocket, session_id: str, given: str, held: ExitStack
             raise Problem(403, "ticket.used", "the ticket has been used: ask for another")
         options = RelayOptions(sends=state.settings.send_timeout)
         own = state.store.of(who.tenant_id)
-        connection = Connection(socket, ticket, broker, own, options)
+        connection = RelayedClient(socket, ticket, broker, own, options)
         await connection.take_seat()
     except AWAY as error:
         raise unreachable() from error

@@ -171,7 +171,7 @@ def positions(session: Session, jobs: Sequence[Job]) -> dict[str, int]:
 
 
 class _Turn(NamedTuple):
-    """The turn of a waiting job; of the same turn the older job comes first."""
+    """A waiting job's place in the queue; ties go to the older job."""
 
     number: int
     created_at: datetime
@@ -210,7 +210,7 @@ def _places(session: Session, queue: str, jobs: Sequence[Job]) -> dict[str, int]
 def _turns(
     session: Session, queue: str, tenant_id: str, moment: datetime, load: int, most: int
 ) -> list[_Turn]:
-    """Return the turns of a tenant's first waiting jobs, at most so many."""
+    """Return the places of a tenant's first waiting jobs, at most ``most`` of them."""
     if most <= 0:
         return []
     first = (

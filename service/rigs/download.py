@@ -34,7 +34,7 @@ class ByteRange(NamedTuple):
 
 @dataclass(frozen=True)
 class Sendable(ABC):
-    """Bytes that `send` sends, the same as long as the ``tag`` (hex) is."""
+    """Bytes for `send`; they stay the same while the ``tag`` (hex) does."""
 
     name: str
     media_type: str

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-# Stretches of a muscle, by its best length: the shortest, and in one direction the thickest.
-SHORTEST = 0.5
-THICKEST = 2.0
+# Stretches of a muscle, by its best length.
+SHORTEST = 0.5  # along its fibres, at the least
+THICKEST = 2.0  # in any direction, at most
 
 MUSCLE_SOURCE = (
     "A muscle makes force down to half its best length (Zajac 1989), and one that halves its "

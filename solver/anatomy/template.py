@@ -208,7 +208,7 @@ class TemplateMesh:
         return np.asarray(self.vertices[self.tets].mean(axis=1))
 
     def trained_like(self, other: TemplateMesh) -> NDArray[np.float32] | None:
-        """Return the trained values of ``other`` tets of the same muscles, at the nearest of them.
+        """Return the trained values at the nearest ``other`` tets of the same muscles.
 
         Both fill the same flesh. A row without any value there keeps its geometric S.
         """

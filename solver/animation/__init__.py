@@ -91,9 +91,9 @@ def track(
     return lambda time: np.array([np.interp(time, times, column) for column in values.T])
 
 
-# heads turn about the upper neck, so far from the middle of the jaw's condyles
-BELOW_JAW_MM = 40.0
-BEHIND_JAW_MM = 20.0
+# heads turn about the upper neck
+BELOW_JAW_MM = 40.0  # the middle of the jaw's condyles
+BEHIND_JAW_MM = 20.0  # the same
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ class Blend:
 
     @classmethod
     def of(cls, poses: Mapping[str, Pose], muscles: int) -> Blend:
-        """Return the blend of named poses of so many muscles."""
+        """Return the blend of named poses of a face with so many ``muscles``."""
         a = np.array([pose.a for pose in poses.values()]).reshape(-1, muscles, 6)
         b = np.array([pose.b for pose in poses.values()]).reshape(-1, 5)
         return cls(tuple(poses), a, b)

@@ -14,15 +14,15 @@ from solver.drawing.head import HEAT_MAX_MM, heat
 from solver.drawing.render import Camera, DrawnBody, Pixels, render_bust
 
 # sRGB bytes
-INK = (38, 40, 46)
-GREY = (112, 116, 124)
-PAPER = (249, 249, 250)
+INK = (38, 40, 46)  # of titles
+GREY = (112, 116, 124)  # of details
+PAPER = (249, 249, 250)  # behind all
 MARGIN = 24  # pixels left of text
 HEADER = 84  # pixels above the first picture
 SWATCH = 14  # pixels a side of a square of colour
 CAPTION = 30  # pixels over every column
-TITLE_SIZE = 30  # of letters, pixels
-DETAIL_SIZE = 17
+TITLE_SIZE = 30  # of its letters, pixels
+DETAIL_SIZE = 17  # of other letters, pixels
 
 Colour = tuple[float, ...]
 

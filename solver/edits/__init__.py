@@ -119,7 +119,7 @@ class Replayed:
     seconds: float
 
 
-class Replay:
+class EditReplay:
     """An edited person, quasi-static, from whose rest every expression starts.
 
     ``face`` has the edits' stiffness, growth and bones, ``potentials`` are its contacts. Raises

@@ -276,7 +276,7 @@ def _vertices(model: SubjectModel, bone: str) -> tuple[Ints, Ints]:
 def into_volume(
     model: SubjectModel, painted: Floats | None, blur_mm: float = 2.0, depth_mm: float | None = None
 ) -> Floats:
-    """Return the share (n,) of each tet in what is painted (V,) on the face; None is all of it.
+    """Return a map painted on the skin (V,) as shares of the tets (n,); None is 1 everywhere.
 
     u on the tets' vertices minimises the integral of |grad u|^2 over the flesh plus that of
     (u - painted)^2 / ``blur_mm`` over the skin of face and neck: heat that comes from there and

@@ -15,7 +15,7 @@ import numpy as np
 
 from solver.errors import InputError, SolveError
 from solver.fitting.interior_point import Bounds, FeasibleSet
-from solver.fitting.steps import FeasibleStepOptions, StepModel, step_model
+from solver.fitting.steps import BoxSteps, FeasibleStepOptions, FreeSteps, SetSteps, StepModel
 from solver.mechanics.boundary import JAW_FREEDOM, FreeJaw, JawMotion
 from solver.mechanics.jaw_tracks import TRACK_FREEDOM, JawTracks
 from solver.model import JawFrame
@@ -134,13 +134,18 @@ class Layout:
     ) -> StepModel:
         """Return the steps of a quadratic model at q, free or within the bounds.
 
-        ``hessian`` is (size, size), ``gradient`` and q are (size,). Steps in a box keep to a length
-        of ``reach``; others are to be cut by the caller.
+        ``hessian`` is (size, size), ``gradient`` and q are (size,); steps for another gradient
+        follow the best one for this. Steps in a box keep to a length of ``reach``; others are to be
+        cut by the caller.
         """
-        longest = reach * self._reaches
-        return step_model(
-            self.bounds, hessian, gradient, q, longest, options or FeasibleStepOptions()
-        )
+        bounds = self.bounds
+        if bounds.feasible is not None:
+            return SetSteps(bounds, hessian, gradient, q, options or FeasibleStepOptions())
+        if bounds.is_box:
+            longest = reach * self._reaches
+            limits = np.maximum(bounds.lower - q, -longest), np.minimum(bounds.upper - q, longest)
+            return BoxSteps(hessian, gradient, limits)
+        return FreeSteps(hessian)
 
     @cached_property
     def damping(self) -> Floats:

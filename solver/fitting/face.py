@@ -110,7 +110,7 @@ class PosedFace:
 
 @dataclass(frozen=True)
 class HungSkin:
-    """Where a ``skin`` (V, 3) would be that no flesh moves, and what of it is ``loose``."""
+    """A ``skin`` (V, 3) placed without the flesh, and which of its vertices are ``loose``."""
 
     skin: Floats
     loose: LooseSkin

@@ -89,35 +89,24 @@ class Posterior:
         found = self.covariance @ np.linalg.inv(both)
         return Posterior(0.5 * (found + found.T), self.prior_variance)
 
-    def gains(
-        self, candidates: Floats, sd: Floats | float = 1.0, weights: Floats | None = None
-    ) -> Floats:
-        """Return by how much each of ``candidates`` (c, d, k) would lower the controls' variances.
+    def greedy(
+        self, candidates: Floats, count: int, sd: Floats | float = 1.0
+    ) -> list[tuple[int, float]]:
+        """Choose ``count`` of ``candidates`` (c, d, k), each where it helps most beside the others.
 
         A candidate is d rows, the three coordinates of a marker for one, of noise ``sd`` (d,) or
-        (c, d). Variances count by ``weights`` (k,), or by a positive semi-definite (k, k); without
-        them by one over those of the prior, so that a gain is the sum of the information gained.
-        """
-        return self._gains(candidates, candidates @ self.covariance, sd, weights)
-
-    def greedy(
-        self,
-        candidates: Floats,
-        count: int,
-        sd: Floats | float = 1.0,
-        weights: Floats | None = None,
-    ) -> list[tuple[int, float]]:
-        """Choose ``count`` of ``candidates``, each where it helps most beside those before it.
-
-        Returns their numbers and gains as of :meth:`gains`. A chosen one may be chosen again:
-        that is a second, independent look at the same place.
+        (c, d). Returns their numbers and gains of information: the sum over the controls of the
+        variance that they take away, by that of the prior. A chosen one may be chosen again: that
+        is a second, independent look at the same place.
         """
         now = self
         covariances = candidates @ self.covariance
         chosen = []
         each = np.broadcast_to(sd, candidates.shape[:2])
         for _ in range(count):
-            gains = now._gains(candidates, covariances, each, weights)
+            taken = (covariances / now.prior_variance) @ np.swapaxes(covariances, -1, -2)
+            spread = _prediction_spread(covariances, candidates, each)
+            gains = np.trace(np.linalg.solve(spread, taken), axis1=-2, axis2=-1)
             best = int(gains.argmax())
             chosen.append((best, float(gains[best])))
             rows = covariances[best]
@@ -125,16 +114,6 @@ class Posterior:
             covariances = covariances - (candidates @ rows.T) @ gain
             now = Posterior(now.covariance - rows.T @ gain, now.prior_variance)
         return chosen
-
-    def _gains(
-        self, candidates: Floats, covariances: Floats, sd: Floats | float, weights: Floats | None
-    ) -> Floats:
-        """Return :meth:`gains` for ``covariances`` (c, d, k), the candidates' rows times C."""
-        weights = 1.0 / self.prior_variance if weights is None else weights
-        scaled = covariances * weights if weights.ndim == 1 else covariances @ weights
-        taken = scaled @ np.swapaxes(covariances, -1, -2)
-        spread = _prediction_spread(covariances, candidates, sd)
-        return np.asarray(np.trace(np.linalg.solve(spread, taken), axis1=-2, axis2=-1))
 
 
 def _prediction_spread(covariances: Floats, rows: Floats, sd: Floats | float) -> Floats:
@@ -169,6 +148,6 @@ def inverse_of_positive(matrix: Floats) -> Floats:
 
 @cache
 def _above(size: int) -> tuple[Ints, Ints]:
-    """Return the places above the diagonal of a matrix of so many rows."""
+    """Return the rows and columns above the diagonal of a square matrix."""
     rows, columns = np.triu_indices(size, 1)
     return rows, columns

@@ -27,7 +27,7 @@ from solver.surface import Floats, Ints
 
 @dataclass(frozen=True)
 class CloserOptions:
-    """What closers of the jaw may do while it is open.
+    """Limits of what the closers of the jaw may do while it is open.
 
     Masseter has EMG while a jaw opens and closes freely (van Eijden, Blanksma and Brugman, Journal
     of Dental Research 72, 1993, 599-606). No source has that as a shortening: the number is ours.

@@ -37,7 +37,7 @@ from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.simplex import minimise_on_simplex, replace_values
 from solver.mechanics.equilibrium import PredictorOptions
 from solver.mechanics.linear import in_threads
-from solver.mechanics.response import Controls
+from solver.mechanics.response import FleshControls
 from solver.surface import Floats, Ints
 
 
@@ -64,7 +64,7 @@ class Shape(Protocol):
     def face(self, values: Floats) -> Face:
         """Return the face."""
 
-    def rates(self, sensitivity: Sensitivity, values: Floats) -> Controls:
+    def rates(self, sensitivity: Sensitivity, values: Floats) -> FleshControls:
         """Return the forces' derivative by the values, at a state of their face."""
 
 
@@ -84,7 +84,7 @@ class WeightShape(Shape):
         return self.plain.with_unchecked_weights(replace_values(self.plain.S, values))
 
     @override
-    def rates(self, sensitivity: Sensitivity, values: Floats) -> Controls:
+    def rates(self, sensitivity: Sensitivity, values: Floats) -> FleshControls:
         return sensitivity.weights
 
 

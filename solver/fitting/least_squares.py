@@ -46,7 +46,7 @@ class DampingOptions:
         return max(damping / self.shrink, self.least) if ratio > self.good else damping
 
     def increase(self, damping: float, times: int = 1) -> float:
-        """Return the damping after so many bad steps."""
+        """Return the damping after one or several bad steps."""
         return min(damping * self.grow**times, self.most)
 
     def scale(self, damping: Floats, factor: Floats, fall: float) -> Floats:

@@ -263,7 +263,7 @@ def mirrored_pairs(names: tuple[str, ...]) -> Ints:
 
 
 def _mirrored_muscles(names: tuple[str, ...]) -> Ints:
-    """Return for every column of S that of the other side, for those in the middle their own."""
+    """Return each column's mirror image in S: the other side's, or its own in the middle."""
     words = [tuple(name_words(name.lower())) for name in names]
     columns = {name: number for number, name in enumerate(words, start=1)}
     swapped = [tuple(OTHER_SIDE.get(word, word) for word in name) for name in words]

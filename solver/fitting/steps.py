@@ -27,6 +27,7 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.linalg
 from scipy.optimize import nnls
+from typing_extensions import override
 
 from solver.errors import SolveError
 from solver.fitting.interior_point import Bounds, InteriorPointOptions, interior_step
@@ -74,33 +75,17 @@ class StepModel(Protocol):
         """Return r (size,) -> B^-1 r: minus the change of the best step for r more gradient."""
 
 
-def step_model(
-    bounds: Bounds,
-    hessian: Floats,
-    gradient: Floats,
-    q: Floats,
-    longest: Floats,
-    options: FeasibleStepOptions = FeasibleStepOptions(),
-) -> StepModel:
-    """Return the steps from q within ``bounds``, those in a box no longer than ``longest`` (size,).
-
-    ``gradient`` is that which :meth:`StepModel.follow` linearises the best step about.
-    """
-    if bounds.feasible is not None:
-        return _SetSteps(bounds, hessian, gradient, q, options)
-    if bounds.is_box:
-        limits = np.maximum(bounds.lower - q, -longest), np.minimum(bounds.upper - q, longest)
-        return _BoxSteps(hessian, gradient, limits)
-    return _FreeSteps(hessian)
-
-
 @dataclass(frozen=True)
-class _FreeSteps:
+class FreeSteps(StepModel):
+    """Steps without bounds."""
+
     hessian: Floats
 
+    @override
     def best(self, gradient: Floats) -> Floats:
         return -self._follow(gradient)
 
+    @override
     def following(self) -> Follow:
         return self._follow
 
@@ -110,14 +95,18 @@ class _FreeSteps:
 
 
 @dataclass(frozen=True)
-class _BoxSteps:
+class BoxSteps(StepModel):
+    """Steps within ``limits`` (size,), the least and the greatest."""
+
     hessian: Floats
-    gradient: Floats
+    gradient: Floats  # about whose best step the others follow
     limits: tuple[Floats, Floats]
 
+    @override
     def best(self, gradient: Floats) -> Floats:
         return bounded_step(self.hessian, gradient, self.limits)
 
+    @override
     def following(self) -> Follow:
         lower, upper = self.limits
         ahead = self.best(self.gradient)
@@ -135,13 +124,16 @@ class _BoxSteps:
 
 
 @dataclass(frozen=True)
-class _SetSteps:
+class SetSteps(StepModel):
+    """Steps from q within ``bounds`` of the muscles' set."""
+
     bounds: Bounds
     hessian: Floats
-    gradient: Floats
+    gradient: Floats  # about whose best step the others follow
     q: Floats
     options: FeasibleStepOptions
 
+    @override
     def best(self, gradient: Floats) -> Floats:
         found = self._linearised_step(gradient)
         if found is not None:
@@ -149,6 +141,7 @@ class _SetSteps:
         model = self.bounds, self.hessian, gradient, self.q
         return interior_step(*model, self.options.interior).change
 
+    @override
     def following(self) -> Follow:
         found = self._linearised_step(self.gradient)
         if found is not None:

@@ -23,7 +23,7 @@ from solver.surface import Floats, Ints, directed_edges, vertex_areas, vertex_no
 
 @dataclass(frozen=True)
 class TargetLimits:
-    """Limits beyond which a target is odd, or what a fit leaves of it."""
+    """Limits beyond which a target, or the error that a fit leaves, is reported."""
 
     same_mm: float = 0.01  # scans nearer everywhere are one; a repeated capture differs by noise
     # motion of the whole head, which stabilised scans do not have

@@ -66,7 +66,7 @@ def run(task: Task[Animate]) -> list[Path]:
         progress(Step("warning", READ, message=notice.message))
 
     played = _Played()
-    stage, drives, playing = _staged(task, rig, places, recorded, played)
+    stage, drives, playing = _set_stage(task, rig, places, recorded, played)
     more = {**_told_of(recorded, played.transfer), **played.figures}
     if recorded.timecodes:
         more["timecode"] = recorded.timecodes[recording.start]
@@ -80,7 +80,7 @@ def run(task: Task[Animate]) -> list[Path]:
     return [*written, *played.files, *left]
 
 
-def _staged(
+def _set_stage(
     task: Task[Animate], rig: Rig, places: Places, recorded: FaceTake, played: _Played
 ) -> tuple[Stage, RecordedDrives, ProgressCallback]:
     """Return the stage, what drives it, and the progress of its playing."""
@@ -90,7 +90,7 @@ def _staged(
     model = rig.model
     S = rig.weights
 
-    def staged(
+    def stage_of(
         drives: RecordedDrives,
         begun: float,
         firmer: float = 1.0,
@@ -133,13 +133,13 @@ def _staged(
         tracks = MuscleTracks.load(task.inputs["tracks"], model)
         drives = drives_of(TrackedShapes.of(model, tracks))
         played.figures["shapes"] = len(tracks.names)
-        return staged(drives, READ, TrackContact.firmer, tracks)
+        return stage_of(drives, READ, TrackContact.firmer, tracks)
     # what moves the muscles may take minutes: what is wrong with the scene is told before
     check(drives_of(Blendshapes(model.muscle_names, {})))
     shapes = _shapes_of(task, rig, played)
     weights = drives_of(shapes).weights
     drives = drives_of(shapes, _fit_frames(task, rig, shapes, weights, played))
-    return staged(drives, SOLVED)
+    return stage_of(drives, SOLVED)
 
 
 def _detecting(task: Task[Animate]) -> Callable[[int], None]:
@@ -170,7 +170,7 @@ def _told_of(take: FaceTake, played: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass
 class _Played:
-    """What is left and told of how frames are played."""
+    """Figures and arrays about the played frames, for the report and the sequence."""
 
     files: list[Path] = field(default_factory=list)
     figures: dict[str, Any] = field(default_factory=dict)

@@ -104,7 +104,7 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
 
 
 def _read_texture(task: Task[BuildStudioRig], template: Template, faces: int) -> SkinTexture | None:
-    """Return the images that the skin of so many ``faces`` wears; None: none was given."""
+    """Return the images for a skin of ``faces`` triangles; None if none was given."""
     images = {"colours": task.inputs.get("texture"), "normals": task.inputs.get("normals")}
     if not any(images.values()):
         return None

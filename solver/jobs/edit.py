@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from solver.edits import Edited, Replay, Replayed, apply
+from solver.edits import Edited, EditReplay, Replayed, apply
 from solver.errors import SolveError
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task
@@ -15,7 +15,7 @@ from solver.kinds.edit import Edit
 from solver.progress import ProgressCallback, Step
 from solver.rig import ExpressionFit
 from solver.rig.report.edit_report import (
-    Compared,
+    EditedExpression,
     EditedPerson,
     edit_picture,
     edit_report,
@@ -42,7 +42,7 @@ def run(task: Task[Edit]) -> list[Path]:
     before, all_before = _replay(unedited, physics, fits, "before the edits", 0.05, progress)
     after, all_after = _replay(edited, physics, fits, "after the edits", 0.45, progress)
     compared = [
-        Compared(fit.name, one, other, fit.skin)
+        EditedExpression(fit.name, one, other, fit.skin)
         for fit, one, other in zip(fits, all_before, all_after, strict=True)
     ]
     whole = EditedPerson(edited, before, after, compared)
@@ -67,7 +67,7 @@ def _replay(
     progress(Step("rest", begin, message=words))
     face = physics.face(person)
     check_held(face)
-    replay = Replay(person, face, physics.contacts(person))
+    replay = EditReplay(person, face, physics.contacts(person))
     found: list[Replayed | None] = []
     for number, fit in enumerate(fits, start=1):
         done = begin + 0.4 * number / len(fits)

@@ -29,6 +29,7 @@ from solver.jobs.sequences import (
     write_animated,
 )
 from solver.kinds.fit_photo import FitPhoto
+from solver.live.landmarks import IMAGE_AXES
 from solver.photo.camera import PinholeCamera
 from solver.photo.expression import PhotoExpression, marks_of, read_neutral
 from solver.photo.film import FilmFrame, FilmOptions, FilmTracker, as_expression, find_focal
@@ -49,9 +50,6 @@ from solver.tracks.plain import PlainFace
 
 MOST_SHOTS = 6  # frames in the picture
 FOUND = 0.1  # part of a job after which landmarks are found
-# of a camera's axes (x right, y down, z into the picture) in the world: y up, z to the camera
-UPRIGHT = np.diag([1.0, -1.0, -1.0])
-
 
 CAMERA = ("focal", "centre", "rotation", "translation")  # arrays of a camera
 
@@ -123,7 +121,7 @@ class FilmFitter(FrameFitter[ShapeFrame]):
             self._state = found.point.state
             self._last = (photo, found)
             seen_by = found.point.cameras[0]
-            self.camera = self.camera or replace(seen_by, rotation=UPRIGHT)
+            self.camera = self.camera or replace(seen_by, rotation=IMAGE_AXES)
         return self._frame(number, status, found, photo, time.perf_counter() - begun)
 
     def _photo(self, number: int) -> Photo | None:

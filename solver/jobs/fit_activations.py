@@ -51,7 +51,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
     targets = fits.Targets(subject, given.distance).of_scans(scans)
     begin = time.perf_counter()
     fitted = fits.fit_unseen(
-        face, scans, targets, log, fits.Span(0.02, 0.5), knowledge, stop, given.solver
+        face, scans, targets, log, fits.JobPart(0.02, 0.5), knowledge, stop, given.solver
     )
     kept = [fit for fit in carried if fit.name not in scans]
     asked = given.model_dump(include={"distance", "solver"})

@@ -36,7 +36,7 @@ from solver.photo.photo import Photo
 from solver.photo.placed import Reprojection, find_contradiction, reprojections
 from solver.photo.report import photo_figures, photo_picture
 from solver.progress import Step, part_of
-from solver.rig import Rig, ShapeFit, System
+from solver.rig import Rig, System, SystemFit
 from solver.rig.report import known_information
 from solver.rig.report.systems import SYSTEMS
 from solver.storage import write_json
@@ -94,7 +94,7 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     fitted = []
     shown = {}
     for number, (name, taken) in enumerate(moments.items()):
-        part = fits.Span(0.1, 0.5).part(number, len(moments))
+        part = fits.JobPart(0.1, 0.5).part(number, len(moments))
         listen = log.listener(SYSTEMS[letter].replace(" ", "_"), name, part, given.max_iterations)
         found = fitter.fit(name, [photos[each] for each in taken], lights, listen)
         noticed = [each for photo in taken for each in findings[photo]]
@@ -165,7 +165,7 @@ def _options(given: FitPhoto) -> ExpressionOptions:
 class _Fitted:
     """An expression for the rig, and what it is made of; None where nothing was found."""
 
-    shape: ShapeFit
+    shape: SystemFit
     result: PhotoExpression[Any] | None
     placed: Mapping[str, Reprojection] = field(default_factory=dict)
 
@@ -197,11 +197,11 @@ class _Fitter:
         steps = found.landmarks.steps + found.fit.steps
         return _Fitted(replace(shape, seconds=seconds, iterations=steps), found, placed)
 
-    def _shape(self, name: str, state: State, notices: tuple[Finding, ...]) -> ShapeFit:
+    def _shape(self, name: str, state: State, notices: tuple[Finding, ...]) -> SystemFit:
         """Return an expression without a scan: its target is nowhere."""
         skin = self.face.skin(state)
         nowhere = np.full_like(skin, np.nan)
-        return ShapeFit(
+        return SystemFit(
             name,
             "test",
             state.pose.activations,

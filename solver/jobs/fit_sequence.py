@@ -305,7 +305,7 @@ def _shape_options(given: FitSequence) -> TrackFitOptions:
 
 
 def _points(face: Face, given: FitSequence) -> HeadAndFace:
-    """Return how the face's points are seen, as options have it."""
+    """Return the observation of the face's points that the options ask for."""
     whole = replace(TrackingOptions().whole, max_iterations=given.max_iterations)
     options = DenseOptions(temporal=given.temporal, tracking=TrackingOptions(whole=whole))
     target = Targets(face.model, given.distance).of_points

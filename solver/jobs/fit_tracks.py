@@ -66,19 +66,21 @@ def run(task: Task[FitTracks]) -> list[Path]:
     systems = fits.carried_systems(rig, scans)
     for number, (letter, driven) in enumerate(faces.items()):
         begin = time.perf_counter()
-        span = fits.Span(0.2, 0.5).part(number, len(faces))
+        span = fits.JobPart(0.2, 0.5).part(number, len(faces))
         found = _fit_system(driven, SYSTEMS[letter], scans, targets, given, log.branch(), span)
         systems[letter] = systems[letter].replaced(found) if letter in systems else found
         seconds[SYSTEMS[letter]] = time.perf_counter() - begin
     options = given.model_dump(exclude={"linear_solver"})
     settings = {**(rig.figures or {}).get("settings", {}), "tracks": options}
     whole = replace(rig, seconds=seconds, notices=log.general, systems=systems)
-    information = known_information(parent) if _trained(rig) == _trained(parent) else None
+    information = (
+        known_information(parent) if _training_names(rig) == _training_names(parent) else None
+    )
     ending = part_of(progress, 0.5)
     return fits.leave_systems(face, whole, settings, task.out, ending, information)
 
 
-def _trained(rig: Rig) -> list[str]:
+def _training_names(rig: Rig) -> list[str]:
     """Return the names of the expressions that S was fitted to."""
     return [fit.name for fit in rig.expressions if fit.role == "train"]
 
@@ -113,7 +115,7 @@ def _with_muscles(
     if not missing:
         return rig
     wanted = {name: targets[name] for name in missing}
-    fitted = fits.fit_unseen(face, missing, wanted, log, fits.Span(0.02, 0.2))
+    fitted = fits.fit_unseen(face, missing, wanted, log, fits.JobPart(0.02, 0.2))
     kept = [fit for fit in rig.expressions if fit.name not in missing]
     return replace(rig, expressions=(*kept, *fitted))
 
@@ -125,7 +127,7 @@ def _fit_system(
     targets: Mapping[str, Target],
     given: FitTracks,
     log: fits.WarningLog,
-    span: fits.Span,
+    span: fits.JobPart,
 ) -> System:
     """Fit weights and jaw to every scan; ``name`` is that of the system."""
     options = TrackFitOptions(given.w_w, given.w_j, BOUNDS[given.bounds])

@@ -122,7 +122,7 @@ def fit_unseen(
     scans: Mapping[str, RegisteredScan],
     targets: Mapping[str, Target],
     log: WarningLog,
-    span: Span,
+    span: JobPart,
     knowledge: Mapping[str, KnownMuscles] = NOTHING_KNOWN,
     stop: ActivationOptions = UNSEEN_STOP,
     solver: Solver = "reduced",
@@ -279,7 +279,7 @@ def _normals(points: Floats, triangles: Ints) -> Floats:
 
 
 @dataclass(frozen=True)
-class Span:
+class JobPart:
     """A part of a job, from one fraction of it to another."""
 
     start: float
@@ -289,9 +289,9 @@ class Span:
         """Return the fraction of the job that is done when a ``part`` of the span is."""
         return self.start + part * (self.end - self.start)
 
-    def part(self, number: int, count: int) -> Span:
+    def part(self, number: int, count: int) -> JobPart:
         """Return one of ``count`` equal parts."""
-        return Span(self.at(number / count), self.at((number + 1) / count))
+        return JobPart(self.at(number / count), self.at((number + 1) / count))
 
 
 # The warnings of a job: sent while it runs, and kept for its report.
@@ -306,12 +306,12 @@ class WarningLog:
         self._notices: list[Finding] = []
 
     def branch(self) -> WarningLog:
-        """Return a log of other fits of the same expressions, with what is known of them so far."""
+        """Return a new log for further fits of the same expressions, with the notices so far."""
         other = WarningLog(self._model, self._progress)
         other._notices = [*self._notices]
         return other
 
-    def listener(self, phase: str, name: str, span: Span, most: int) -> Listener:
+    def listener(self, phase: str, name: str, span: JobPart, most: int) -> Listener:
         """Return what tells of the iterations, ``most`` at most, of a fit of ``name``."""
 
         def listen(iteration: int, value: float) -> None:
@@ -327,7 +327,7 @@ class WarningLog:
             self._progress(Step("warning", fraction, message=notice.message))
 
     def about(self, fit: Fit, fraction: float, solve: Iterable[Finding]) -> Fit:
-        """Return a fit with the notices of it, of its ``solve`` and of what it leaves."""
+        """Return a fit with its notices: from its checks, its ``solve`` and its result."""
         own = {"expression": fit.name}
         self.warn(fraction, [replace(each, context={**own, **each.context}) for each in solve])
         self.warn(fraction, find_disagreements(fit.name, fit.known))

@@ -22,7 +22,7 @@ from solver.photo.report import camera_figures, identity_picture
 from solver.progress import Step
 from solver.storage import write_json
 
-MOST_PHOTOS = 8
+MOST_PHOTOS = 8  # that a neutral is made of
 TOLD_WEIGHT = 0.05  # smaller weights of expressions are left out of the report
 
 

@@ -47,7 +47,7 @@ def _option(parameter: str, words: str, role: str | None = None, form: Form = "f
     return InputPart(parameter, words, role or parameter, form)
 
 
-def _named(parameter: str, words: str) -> InputPart:
+def _named_files(parameter: str, words: str) -> InputPart:
     """Return an option that is repeated, with a name for each file."""
     return InputPart(parameter, words, form="named files")
 
@@ -80,9 +80,9 @@ INPUTS: Mapping[str, Input] = {
     ),
     "photos": Input(
         (
-            _named("photo", "NAME=FILE, a photograph, JPEG or PNG; repeatable"),
-            _named("facts", "NAME=FILE, what is known of the photograph of this name, JSON"),
-            _named("mask", "NAME=FILE, a PNG that is white where the photograph counts"),
+            _named_files("photo", "NAME=FILE, a photograph, JPEG or PNG; repeatable"),
+            _named_files("facts", "NAME=FILE, what is known of the photograph of this name, JSON"),
+            _named_files("mask", "NAME=FILE, a PNG that is white where the photograph counts"),
             _option("film", "MP4 or MOV, or a folder of pictures", form="file or folder"),
         )
     ),
@@ -93,7 +93,7 @@ INPUTS: Mapping[str, Input] = {
     "rig": Input((_given("rig", RIG, "file or folder"),)),
     "any_rig": Input((_option("rig", RIG, form="file or folder"),)),
     "template": Input((_option("template", "template NPZ; default: built-in"),)),
-    "assets": Input((_named("asset", "NAME=FILE, a file that the scene names; repeatable"),)),
+    "assets": Input((_named_files("asset", "NAME=FILE, a file that the scene names; repeatable"),)),
     "sequences": Input(()),  # a scene names them as it does assets
     "blendshapes": Input((_option("blendshapes", "blendshapes.npz of an earlier animation"),)),
     "expression_basis": Input(
@@ -111,7 +111,11 @@ INPUTS: Mapping[str, Input] = {
     "tracks": Input((_option("tracks", "tracks.npz of build-tracks"),)),
     "texture": Input((_option("texture", "texture.png of the neutral's register-scan"),)),
     "wrinkles": Input(
-        (_named("wrinkle", "NAME=FILE, wrinkle_normals.png of the expression NAME; repeatable"),)
+        (
+            _named_files(
+                "wrinkle", "NAME=FILE, wrinkle_normals.png of the expression NAME; repeatable"
+            ),
+        )
     ),
     "normals": Input((_option("normals", "normals.png of the neutral's register-scan"),)),
     "role": Input((InputPart("role", "what the scan is meant to be", form="role"),)),

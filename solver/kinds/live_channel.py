@@ -14,7 +14,7 @@ import struct
 from solver.kinds.live_messages import LONGEST, Message, MessageError
 
 _HEADER = struct.Struct("<IB")
-_PIECE = 1 << 20
+_PIECE = 1 << 20  # bytes that are received at once
 
 
 class ChannelClosedError(ConnectionError):

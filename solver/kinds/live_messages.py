@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 GIVEN = b"MYF>"  # a frame of a client's
 FOLLOWED = b"MYF<"  # a frame of the session's
-VERSION = 1
+VERSION = 1  # of both layouts
 LONGEST = 8 << 20  # bytes of a message: the session's may have the whole skin
 
 _GIVEN = struct.Struct("<4sHHId")

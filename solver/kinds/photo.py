@@ -15,9 +15,9 @@ from pydantic_core import PydanticCustomError
 from solver.kinds.document import Document, Whole, by_type, tell_forms
 
 MEDIAPIPE_POINTS = (478, 468)  # of MediaPipe's face mesh, with irises and without
-IBUG_POINTS = 68
-MOST_LANDMARKS = 1000
-MOST_CURVE_POINTS = 400
+IBUG_POINTS = 68  # of the scheme of iBUG's 300-W
+MOST_LANDMARKS = 1000  # with names, in a document
+MOST_CURVE_POINTS = 400  # of each curve
 
 Pixels = Annotated[float, Field(ge=-1e6, le=1e6)]
 Pixel = Annotated[list[Pixels], Field(min_length=2, max_length=2)]

@@ -42,7 +42,7 @@ class Material:
     law: Law = "corotated"
 
     def in_pascal(self, pascals: float) -> Material:
-        """Return the material with its stress of 1 being so many ``pascals``."""
+        """Return the material in Pa, where a stress of 1 is ``pascals``."""
         stresses = ("mu", "lam", "kappa", "barrier_weight")
         return replace(self, **{name: pascals * getattr(self, name) for name in stresses})
 

@@ -25,7 +25,7 @@ from solver.mechanics.linear import Factor, GrowingSolver, LinearSolver, NotPosi
 from solver.surface import Floats
 
 
-class Controls(Protocol):
+class FleshControls(Protocol):
     """Controls q (k,) of a flesh at one state x: the linear map G and the held vertices' motion."""
 
     held: sp.csr_array  # dx_held/dq as (3 p, k): zero rows for free coordinates
@@ -41,7 +41,7 @@ class Controls(Protocol):
 
 
 @dataclass(frozen=True)
-class SparseControls(Controls):
+class SparseControls(FleshControls):
     """Controls with G as a matrix: ``forces`` (size, k), ``held`` (3 p, k).
 
     The forces are dense where held vertices move, as their coupling is.
@@ -90,7 +90,7 @@ class SparseControls(Controls):
 
 
 @dataclass(frozen=True)
-class ChainedControls(Controls):
+class ChainedControls(FleshControls):
     """Controls q (k,) that drive the flesh by way of r other numbers y: G = (dG/dy) (dy/dq).
 
     ``forces`` (size, r) is sparse as few numbers drive a vertex, ``rates`` (r, k) dense.
@@ -176,33 +176,33 @@ class Response:
         except NotPositiveDefiniteError:
             return cls(flesh, linear.factor(matrix.data, indefinite=True), minimum=False)
 
-    def columns(self, controls: Controls) -> Floats:
+    def columns(self, controls: FleshControls) -> Floats:
         """Return dx_free/dq (size, k)."""
         found = self._factor.solve(controls.columns())
         # in place: on fine meshes new memory takes as long as arithmetic
         return np.negative(found, out=found)
 
-    def motions(self, controls: Controls) -> Floats:
+    def motions(self, controls: FleshControls) -> Floats:
         """Return dx/dq of all vertices, (p, 3, k)."""
         out = controls.held.toarray()
         out[self._flesh.free_coordinates] = self.columns(controls)
         return np.asarray(out.reshape(len(self._flesh.rest), 3, -1))
 
-    def product(self, controls: Controls, change: Floats) -> Floats:
+    def product(self, controls: FleshControls, change: Floats) -> Floats:
         """Return dx/dq dq: the motion (p, 3) of all vertices for a change (k,) of the controls."""
         out = np.asarray(controls.held @ change)
         out[self._flesh.free_coordinates] = self.free_motion(controls, change)
         return out.reshape(-1, 3)
 
-    def free_motion(self, controls: Controls, change: Floats) -> Floats:
+    def free_motion(self, controls: FleshControls, change: Floats) -> Floats:
         """Return dx_free/dq dq (size,) for a change (k,) of the controls."""
         return -self._factor.solve(controls.product(change))
 
-    def free_adjoint(self, controls: Controls, gradient: Floats) -> Floats:
+    def free_adjoint(self, controls: FleshControls, gradient: Floats) -> Floats:
         """Return (dx_free/dq)^T g (k,) for g by the free coordinates (size,)."""
         return controls.adjoint(-self._factor.solve(gradient))
 
-    def adjoint(self, controls: Controls, gradient: Floats) -> Floats:
+    def adjoint(self, controls: FleshControls, gradient: Floats) -> Floats:
         """Return (dx/dq)^T g (k,) for g by the vertices (p, 3), by one solve."""
         flat = gradient.ravel()
         free = self.free_adjoint(controls, flat[self._flesh.free_coordinates])

@@ -38,9 +38,9 @@ JSON_CHUNK = b"JSON"
 BINARY_CHUNK = b"BIN\0"
 
 MAX_DEPTH = 64  # of nodes in nodes: no exporter comes near, and recursion stays within Python's
-# Parts may share data, but all of them together are no larger than so many files, or this.
-MOST_SHARES = 16
-FEW_BYTES = 1 << 24
+# Parts may share data, but all of them together are no larger than the greater of these.
+MOST_SHARES = 16  # times the file
+FEW_BYTES = 1 << 24  # of a small file
 ACCESS_BYTES = 1 << 10  # that reading any accessor counts for at least
 MOST = 1 << 53  # no count or offset: JSON's numbers end there
 NOT_VALID = (KeyError, IndexError, TypeError, AttributeError, OverflowError)  # by broken rules

@@ -20,7 +20,7 @@ from solver.surface import Floats
 
 TRANSFORM = "KHR_texture_transform"
 DATA = re.compile(r"data:image/[a-z+.-]+;base64,", re.IGNORECASE)
-WHITE = (1.0, 1.0, 1.0, 1.0)
+WHITE = (1.0, 1.0, 1.0, 1.0)  # the factor that leaves a colour and its opacity as they are
 
 
 def to_srgb(linear: Floats) -> Floats:
@@ -82,7 +82,7 @@ class _Materials:
             reason = f"{attribute} does not fit its positions"
             raise file_error("texture.unreadable", self.path.name, reason)
         image = self._image(used["index"], tuple(surface.get("baseColorFactor", WHITE)))
-        coordinates = _transformed(places, moved)[mesh.faces]
+        coordinates = _transform(places, moved)[mesh.faces]
         return Paint((image,), np.zeros(len(mesh.faces), np.int64), coordinates, colours)
 
     def _image(self, texture: int, factor: tuple[float, ...]) -> Texels:
@@ -114,7 +114,7 @@ class _Materials:
         return path.name, read_sidecar(path)
 
 
-def _transformed(places: Floats, moved: dict[str, Any]) -> Floats:
+def _transform(places: Floats, moved: dict[str, Any]) -> Floats:
     """Return texture coordinates (n, 2) as ``KHR_texture_transform`` moves them."""
     scale = np.array(moved.get("scale", (1.0, 1.0)), np.float64)
     offset = np.array(moved.get("offset", (0.0, 0.0)), np.float64)

@@ -53,7 +53,7 @@ Rows = tuple[Columns, dict[str, Lists]]
 
 
 @dataclass
-class Element:
+class PlyElement:
     """One element of the header, with NumPy's codes of types."""
 
     name: str
@@ -135,7 +135,7 @@ def corner_lists(file: str, lists: Mapping[str, Lists]) -> Lists:
 
 def _open_body(
     file: str, content: bytes, strict: bool = False
-) -> tuple[list[Element], _AsciiBody | _BinaryBody]:
+) -> tuple[list[PlyElement], _AsciiBody | _BinaryBody]:
     """Return the elements of a file, and what reads their rows one after the other."""
     form, elements, start = read_header(file, content)
     source = file, content, elements, start
@@ -144,10 +144,10 @@ def _open_body(
     return elements, _BinaryBody(*source, BYTE_ORDERS[form])
 
 
-def read_header(file: str, content: bytes) -> tuple[str, list[Element], int]:
+def read_header(file: str, content: bytes) -> tuple[str, list[PlyElement], int]:
     """Return the format, the elements, and the byte at which the body starts."""
     form = ""
-    elements: list[Element] = []
+    elements: list[PlyElement] = []
     position = 0
     for line in range(1, MAX_HEADER_LINES):
         end = content.find(b"\n", position)
@@ -167,7 +167,7 @@ def read_header(file: str, content: bytes) -> tuple[str, list[Element], int]:
         elif words[0] == "format" and len(words) == 3 and words[1] in BYTE_ORDERS:
             form = words[1]
         elif words[0] == "element" and len(words) == 3 and parse_count(words[2]) is not None:
-            elements.append(Element(words[1], int(words[2])))
+            elements.append(PlyElement(words[1], int(words[2])))
         elif words[0] == "property" and elements:
             _add_property(file, line, elements[-1], words[1:])
         else:
@@ -176,7 +176,7 @@ def read_header(file: str, content: bytes) -> tuple[str, list[Element], int]:
     raise unreadable_error(file, f"the header is longer than {MAX_HEADER_LINES} lines")
 
 
-def _add_property(file: str, line: int, element: Element, words: list[str]) -> None:
+def _add_property(file: str, line: int, element: PlyElement, words: list[str]) -> None:
     is_list = words[:1] == ["list"]
     types = words[int(is_list) : -1]
     name = words[-1] if words else ""
@@ -195,7 +195,7 @@ class _BinaryBody:
     """Reads one element after the other from a binary body."""
 
     def __init__(
-        self, file: str, content: bytes, elements: list[Element], start: int, order: str
+        self, file: str, content: bytes, elements: list[PlyElement], start: int, order: str
     ) -> None:
         self._file = file
         self._content = content
@@ -207,7 +207,7 @@ class _BinaryBody:
             reason = f"the header announces at least {expected} bytes, {found} follow"
             raise truncated_error(file, reason, expected=expected, found=found)
 
-    def read(self, element: Element) -> Rows:
+    def read(self, element: PlyElement) -> Rows:
         """Return the columns and lists of an element."""
         lengths = self._list_lengths(element) if element.count else {}
         row = element.row_type(self._order, lengths)
@@ -227,7 +227,7 @@ class _BinaryBody:
             for name, count in lengths.items()
         }
 
-    def _read_uneven(self, element: Element) -> Rows:
+    def _read_uneven(self, element: PlyElement) -> Rows:
         """Return the columns and lists of rows that differ in length."""
         lists: dict[str, tuple[list[np.ndarray], list[int]]] = {
             name: ([], []) for name in element.items
@@ -255,7 +255,7 @@ class _BinaryBody:
             for name, (items, counts) in lists.items()
         }
 
-    def _list_lengths(self, element: Element) -> dict[str, int]:
+    def _list_lengths(self, element: PlyElement) -> dict[str, int]:
         """Return how many items each list of the next row has (0 behind the end).
 
         A list longer than the file counts with just more items than fit in the file.
@@ -279,7 +279,7 @@ class _AsciiBody:
     """Reads one element after the other from a body of text, a row a line."""
 
     def __init__(
-        self, file: str, content: bytes, elements: list[Element], start: int, strict: bool
+        self, file: str, content: bytes, elements: list[PlyElement], start: int, strict: bool
     ) -> None:
         self._file = file
         self._content = content
@@ -300,7 +300,7 @@ class _AsciiBody:
             row = next(islice(filled, row, None))
         return self._content.count(b"\n", 0, self._start) + 1 + row
 
-    def read(self, element: Element) -> Rows:
+    def read(self, element: PlyElement) -> Rows:
         """Return the columns and lists of an element."""
         start = self._position
         self._position = self._position + element.count
@@ -317,7 +317,7 @@ class _AsciiBody:
         table = values.reshape(-1, width)
         return {name: table[:, k] for k, (name, _) in enumerate(element.properties)}, {}
 
-    def _read_uneven(self, element: Element, values: Floats, counts: Ints, start: int) -> Rows:
+    def _read_uneven(self, element: PlyElement, values: Floats, counts: Ints, start: int) -> Rows:
         """Return the columns and lists of rows of ``counts`` (n,) ``values``."""
         columns: Columns = {}
         lists: dict[str, Lists] = {}
@@ -345,7 +345,7 @@ class _AsciiBody:
             return truncated_error(self._file, "the last line is not whole", line=line)
         return unreadable_error(self._file, "a list is shorter than it says", line=line)
 
-    def _fault(self, element: Element, rows: list[bytes], start: int) -> InputError:
+    def _fault(self, element: PlyElement, rows: list[bytes], start: int) -> InputError:
         """Return the fault of the first row that is not as announced."""
         width = len(element.properties)
         name = quote(element.name)

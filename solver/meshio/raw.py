@@ -163,25 +163,31 @@ def mend(scan: RawScan) -> tuple[RawScan, Mending]:
     faces: Ints = new_number[scan.faces[finite[scan.faces].all(axis=1)]]
     kept = numbers[first]
     counts = Mending(len(lost), int(lost[0]) if len(lost) else -1, duplicate)
-    if len(scan.faces) == 0:
-        return _pick(scan, kept, scan.faces), counts
-    flat = _is_flat(scan.vertices[kept], faces)
-    faces = faces[~flat]
-    single, _ = alike(np.sort(faces, axis=1).astype(np.uint64))
-    repeated = len(faces) - len(single)
-    faces, flipped = _wound_alike(faces[single])
-    used = np.zeros(len(kept), bool)
-    used[faces] = True
-    _, triangles_of_edge = np.unique(_edge_keys(faces, directed=False), return_counts=True)
-    counts = replace(
-        counts,
-        flat=int(flat.sum()),
-        repeated=repeated,
-        unused=int((~used).sum()),
-        non_manifold=int((triangles_of_edge > 2).sum()),
-        flipped=flipped,
+    if len(scan.faces):
+        flat = _is_flat(scan.vertices[kept], faces)
+        faces = faces[~flat]
+        single, _ = alike(np.sort(faces, axis=1).astype(np.uint64))
+        repeated = len(faces) - len(single)
+        faces, flipped = _wound_alike(faces[single])
+        used = np.zeros(len(kept), bool)
+        used[faces] = True
+        _, triangles_of_edge = np.unique(_edge_keys(faces, directed=False), return_counts=True)
+        counts = replace(
+            counts,
+            flat=int(flat.sum()),
+            repeated=repeated,
+            unused=int((~used).sum()),
+            non_manifold=int((triangles_of_edge > 2).sum()),
+            flipped=flipped,
+        )
+        kept = kept[used]
+        faces = (np.cumsum(used) - 1)[faces]
+    normals, colours = (
+        None if values is None else values[kept] for values in (scan.normals, scan.colours)
     )
-    return _pick(scan, kept[used], (np.cumsum(used) - 1)[faces]), counts
+    vertices = scan.vertices[kept]
+    mended = replace(scan, vertices=vertices, faces=faces, normals=normals, colours=colours)
+    return mended, counts
 
 
 def _edge_keys(faces: Ints, *, directed: bool) -> Ints:
@@ -189,19 +195,6 @@ def _edge_keys(faces: Ints, *, directed: bool) -> Ints:
     ends = directed_edges(faces)
     one, other = (ends if directed else np.sort(ends, axis=1)).T
     return np.asarray(one * (int(faces.max(initial=0)) + 1) + other, np.int64)
-
-
-def _pick(scan: RawScan, vertices: Ints, faces: Ints) -> RawScan:
-    def rows(values: Floats | None) -> Floats | None:
-        return None if values is None else values[vertices]
-
-    return replace(
-        scan,
-        vertices=scan.vertices[vertices],
-        faces=faces.astype(np.int64),
-        normals=rows(scan.normals),
-        colours=rows(scan.colours),
-    )
 
 
 def _is_flat(vertices: Floats, faces: Ints) -> NDArray[np.bool_]:

@@ -19,7 +19,7 @@ Box = tuple[float, float, float, float]  # left, top, right and bottom, px
 
 @dataclass(frozen=True)
 class FaceLimits:
-    """What is looked at for a face, and what a face must be like."""
+    """Options of finding a face: the scales looked at, and what counts as a face."""
 
     # parts of the picture, by their sides, in which faces are looked for, and then, where none is
     # seen, more: of what it is shown the detector sees no face whose eyes are closer than a twelfth

@@ -20,11 +20,11 @@ from solver.drawing.render import GAMMA
 from solver.errors import InputError
 from solver.fitting.least_squares import Listener
 from solver.photo.camera import PinholeCamera
-from solver.photo.fit import FocalPrior, PhotoFit, PhotoFitOptions, View, fit_photos
+from solver.photo.fit import FocalPrior, PhotoFit, PhotoFitOptions, PhotoView, fit_photos
 from solver.photo.light import (
     Appearance,
     LightOptions,
-    SampleOptions,
+    PixelOptions,
     find_appearance,
     visible_samples,
 )
@@ -39,7 +39,7 @@ from solver.tracks.fit import ShapeFace, State
 
 
 @dataclass(frozen=True)
-class LandmarkOptions:
+class LandmarkTrust:
     """How far landmarks of a picture may be trusted."""
 
     noise_mm: float = 1.2  # standard deviation of a coordinate, as far as it is the detector's
@@ -67,13 +67,13 @@ class ShadingOptions:
     # standard deviation of a channel, by the mean of the skin's: brows, a beard and gloss included
     noise: float = 0.3
     independent: int = 20  # of so many samples each counts by itself
-    samples: SampleOptions = field(default_factory=SampleOptions)
+    samples: PixelOptions = field(default_factory=PixelOptions)
     light: LightOptions = field(default_factory=LightOptions)
 
 
 @dataclass(frozen=True)
 class FocalOptions:
-    """What is supposed of a focal length that nobody knows."""
+    """Prior of an unknown focal length."""
 
     sides: float = 1.3  # times the picture's longer side, px
     deviation: float = 0.35  # of its logarithm: wide angle to portrait lens
@@ -85,7 +85,7 @@ class ExpressionOptions:
     """Options of :func:`fit_expression`."""
 
     fit: PhotoFitOptions = field(default_factory=PhotoFitOptions)
-    landmarks: LandmarkOptions = field(default_factory=LandmarkOptions)
+    landmarks: LandmarkTrust = field(default_factory=LandmarkTrust)
     curves: CurveOptions = field(default_factory=CurveOptions)
     shading: ShadingOptions | None = field(default_factory=ShadingOptions)
     focal: FocalOptions = field(default_factory=FocalOptions)
@@ -221,7 +221,7 @@ def shading_of(
 
 def place_views(
     photos: Sequence[Photo], points: SkinPoints, skin: Surface, options: ExpressionOptions
-) -> tuple[list[View], Similarity]:
+) -> tuple[list[PhotoView], Similarity]:
     """Return every photograph's landmarks with a camera to begin with, and where the head is.
 
     Cameras are those that see the ``skin`` so. Raises as :func:`fit_expression`.
@@ -246,9 +246,9 @@ def place_views(
         terms = (term, *_curve_terms(photo, points, px_per_mm, options.curves))
         if photo.is_placed and photo.camera is not None:
             head = photo.camera.head_of(begun) if head is None else head
-            views.append(View(terms, photo.camera, is_placed=True))
+            views.append(PhotoView(terms, photo.camera, is_placed=True))
         else:
-            views.append(View(terms, begun, focal=prior))
+            views.append(PhotoView(terms, begun, focal=prior))
     return views, head or IDENTITY
 
 
@@ -309,7 +309,7 @@ def evenly(curve: Floats, step: float) -> Floats:
     return np.column_stack([np.interp(wanted, along, curve[:, axis]) for axis in range(2)])
 
 
-def _noise_mm(points: SkinPoints, options: LandmarkOptions) -> Floats:
+def _noise_mm(points: SkinPoints, options: LandmarkTrust) -> Floats:
     """Return the standard deviations (k,) of points, so that together they count as they may."""
     # a spread is that of both coordinates together
     each = np.hypot(options.noise_mm, points.spread_mm / np.sqrt(2.0))

@@ -63,11 +63,11 @@ FAR_OUTSIDE = 1.0  # of a picture's size that a principal point may be off it: c
 GRID = 24  # points along a picture's side where a distortion is tried
 ROUNDS = 100  # of taking a distortion out; strong ones need most
 OFF_PX = 0.05  # that a distortion may bring back a pixel
-# A curve crosses itself if it cuts off a loop as wide as this, px or by its extent: lips that meet
-# and lids that are shut are traced to and fro along one line.
-LOOP_PX = 1.5
-LOOP_SHARE = 0.02
-MOST_CROSSINGS = 200
+# A curve crosses itself if it cuts off a loop as wide as this: lips that meet and lids that are
+# shut are traced to and fro along one line.
+LOOP_PX = 1.5  # the least width ...
+LOOP_SHARE = 0.02  # ... and the same by the curve's extent
+MOST_CROSSINGS = 200  # of a curve that are looked at
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def read_facts(path: Path, picture: Picture, names: Collection[str] = ()) -> Fac
         if picture.is_turned and tuple(read.size) == picture.size[::-1]:
             message += " once it is turned upright as its EXIF says: take the places in that"
         raise _error(path.name, [_Fault("photo.size", "photo.size", message)])
-    landmarks, unknown = _named(read.landmarks, names)
+    landmarks, unknown = _read_landmarks(read.landmarks, names)
     curves = _arrays(read.curves)
     faults = [
         *unknown,
@@ -155,14 +155,14 @@ def _error(file: str, faults: Sequence[_Fault]) -> InputError:
 Named = dict[str, tuple[Floats, str]]
 
 
-def _named(
+def _read_landmarks(
     given: dict[str, list[float]] | list[list[float] | None] | None, names: Collection[str]
 ) -> tuple[Named, list[_Fault]]:
     """Return landmarks by the names that photographs have, and those that nobody knows."""
     where = "photo.landmarks"
     if isinstance(given, dict):
         known = {*NUMBERS, *_public_names(), *names}
-        unknown = [_unknown(name, known, where) for name in given if name not in known]
+        unknown = [_unknown_fault(name, known, where) for name in given if name not in known]
         return {
             name: (np.array(place), f"{where}.{name}")
             for name, place in given.items()
@@ -176,7 +176,7 @@ def _named(
     }, []
 
 
-def _unknown(name: str, known: Collection[str], where: str) -> _Fault:
+def _unknown_fault(name: str, known: Collection[str], where: str) -> _Fault:
     close = difflib.get_close_matches(name[:64], known, 3)
     nearest = f"; near it are {', '.join(close)}" if close else ""
     message = f"no template has a landmark {quote(name)!r}{nearest}"

@@ -41,7 +41,7 @@ from solver.photo.expression import (
     place_views,
     shading_of,
 )
-from solver.photo.fit import PhotoFit, PhotoPoint, PhotoProblem, View
+from solver.photo.fit import PhotoFit, PhotoPoint, PhotoProblem, PhotoView
 from solver.photo.light import Appearance
 from solver.photo.photo import Photo
 from solver.photo.shading import blocked_light
@@ -53,7 +53,7 @@ from solver.tracks.plain import PlainFace
 
 @dataclass(frozen=True)
 class StepNoise:
-    """What changes from a frame to the next, as standard deviations."""
+    """Standard deviations of the change from one frame to the next."""
 
     weight: float = 0.15  # of a shape
     turn: float = 0.05  # of the head about each of the camera's axes, rad
@@ -191,15 +191,15 @@ class FilmTracker(Generic[State]):
         begun = replace(before, cameras=(view.camera,))
         placed = minimise(held, begun, TrustRegion(fit.damping), self.options.stop).point
         if options.shading is not None and self.look is not None:
-            view = self._shaded(photo, view, placed, options.shading)
+            view = self._shade(photo, view, placed, options.shading)
         walk = RandomWalk(before, noise, sd, follows_head=not is_cut)
         problem = FrameProblem(PhotoProblem(self.face, (view,), fit, moves_face=True), walk)
         found = minimise(problem, placed, TrustRegion(fit.damping), self.options.stop)
         return FilmFrame(found.point, found.steps, found.value)
 
-    def _shaded(
-        self, photo: Photo, view: View, point: PhotoPoint[State], options: ShadingOptions
-    ) -> View:
+    def _shade(
+        self, photo: Photo, view: PhotoView, point: PhotoPoint[State], options: ShadingOptions
+    ) -> PhotoView:
         """Return the view with the light that was found on the face of the frame before, too."""
         model = self.face.face.model
         skin = model.skin.with_vertices(point.skin)
@@ -223,7 +223,7 @@ def turn_and_shift(before: PinholeCamera, after: PinholeCamera) -> Floats:
 
 @dataclass(frozen=True)
 class RandomWalk(Generic[State]):
-    """What a frame supposes by the one before; ``sd`` is what grows with the frames between."""
+    """Prior of a frame by the one before; ``sd`` grows with the frames between them."""
 
     before: PhotoPoint[State]
     noise: StepNoise

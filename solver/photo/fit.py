@@ -55,7 +55,7 @@ class FocalPrior:
 
 
 @dataclass(frozen=True)
-class View:
+class PhotoView:
     """A picture of a moment: its terms, and a camera to begin with."""
 
     terms: tuple[ImageTerm, ...]
@@ -149,7 +149,7 @@ class PhotoFit(Generic[State]):
 
 def fit_photos(
     face: ShapeFace[State],
-    views: Sequence[View],
+    views: Sequence[PhotoView],
     start: State | None = None,
     head: Similarity = IDENTITY,
     options: PhotoFitOptions = PhotoFitOptions(),
@@ -177,7 +177,7 @@ class PhotoProblem(LeastSquaresProblem[PhotoPoint[State]]):
     """What :func:`fit_photos` minimises; its variables are face, head, and cameras in turn."""
 
     face: ShapeFace[State]
-    views: tuple[View, ...]
+    views: tuple[PhotoView, ...]
     options: PhotoFitOptions
     moves_face: bool
 

@@ -18,7 +18,7 @@ from solver.kinds import MOST_FILM_FRAMES, ROLES
 from solver.photo.photo import Photo
 from solver.photo.picture import LEAST_SIDE, MOST_PIXELS
 from solver.photo.read import read_photo
-from solver.scans.film import FilmLimits, Picture, decode_film
+from solver.scans.film import FilmLimits, FilmPicture, decode_film
 
 LIMITS = FilmLimits(LEAST_SIDE, MOST_PIXELS, MOST_FILM_FRAMES)
 
@@ -91,7 +91,7 @@ class FilmFile:
     def __init__(self, path: Path) -> None:
         self.name = path.name
         self._path = path
-        self._frames: Iterator[Picture] = iter(())
+        self._frames: Iterator[FilmPicture] = iter(())
         self._next = 0
         # files only claim to know it
         self._count = sum(1 for _ in decode_film(path, limits=LIMITS))

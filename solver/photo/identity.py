@@ -33,7 +33,7 @@ from solver.fitting.least_squares import (
 )
 from solver.photo.camera import CAMERA_FREEDOM, PinholeCamera
 from solver.photo.expression import ExpressionOptions, place_views
-from solver.photo.fit import PhotoFitOptions, View
+from solver.photo.fit import PhotoFitOptions, PhotoView
 from solver.photo.photo import Photo
 from solver.registration.shape_fit import IGNORED, identity_model
 from solver.registration.topology import topology
@@ -43,7 +43,7 @@ from solver.tracks.fit import TrackFitOptions
 
 @dataclass(frozen=True)
 class IdentityOptions:
-    """Options of :func:`fit_identity`; shading, the jaw and bounds of weights are not of it."""
+    """Options of :func:`fit_identity`, which uses no shading, no jaw and no bounds."""
 
     # weights of expressions are dearer than those of a person who is known: whoever is new may
     # have full cheeks and does not puff them
@@ -95,7 +95,7 @@ def fit_identity(
         views, _ = place_views(moments, points, seen, options.views)
         point = replace(point, cameras=tuple(view.camera for view in views))
         for moves_face in (False, True):
-            problem = _Problem(shapes, tuple(views), options, moves_face)
+            problem = _IdentityProblem(shapes, tuple(views), options, moves_face)
             fit = options.views.fit
             found = minimise(problem, point, TrustRegion(fit.damping), fit.stop, listen)
             point = found.point
@@ -161,9 +161,9 @@ class _Point:
 
 
 @dataclass(frozen=True)
-class _Problem(LeastSquaresProblem[_Point]):
+class _IdentityProblem(LeastSquaresProblem[_Point]):
     shapes: _Shapes
-    views: tuple[View, ...]
+    views: tuple[PhotoView, ...]
     options: IdentityOptions
     moves_face: bool
 

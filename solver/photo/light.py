@@ -29,8 +29,8 @@ FAR_MM = 1e6  # where nothing is seen
 
 
 @dataclass(frozen=True)
-class SampleOptions:
-    """What of the skin in a picture is compared with it."""
+class PixelOptions:
+    """Options that choose the pixels of the skin that are compared."""
 
     outline_px: int = 3  # pixels so near to an outline or a step in depth are left out
     step_mm: float = 4.0  # of depth between neighbouring pixels, that is a step
@@ -41,7 +41,7 @@ class SampleOptions:
 
 @dataclass(frozen=True)
 class LightOptions:
-    """How albedo and light are told apart."""
+    """Options of separating albedo and light."""
 
     smooth: float = 3.0  # price of albedo's differences along the skin, by samples a vertex
     rounds: int = 8  # of light and albedo in turn
@@ -62,7 +62,7 @@ def visible_samples(
     pixels: Floats,
     every_px: int,
     mask: NDArray[np.bool_] | None = None,
-    options: SampleOptions = SampleOptions(),
+    options: PixelOptions = PixelOptions(),
 ) -> SkinSamples:
     """Return points of the skin that a picture (h, w, 3), linear RGB, shows: a grid of its pixels.
 

@@ -123,11 +123,11 @@ def _reduced_face(photo: Photo, apart: float | None, options: OddityOptions) -> 
     scale = step / reduction
     height, width = (max(1, round(scale * side)) for side in blocks.shape[:2])
     size = width, height
-    channels = [_resized(blocks[..., row], size) for row in range(blocks.shape[2])]
+    channels = [_resize(blocks[..., row], size) for row in range(blocks.shape[2])]
     counts = _within_hull((places - low) / reduction, size)
     if photo.mask is not None:
         shown = _block_means(photo.mask[top:bottom, left:right, None], step)[..., 0]
-        counts &= _resized(shown, size) > 0.999
+        counts &= _resize(shown, size) > 0.999
     return _ReducedFace(np.stack(channels, axis=2), counts) if counts.any() else None
 
 
@@ -141,7 +141,7 @@ def _block_means(pixels: NDArray[np.generic], step: int) -> NDArray[np.float32]:
     return means
 
 
-def _resized(channel: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+def _resize(channel: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
     """Return a channel (h, w) as large as ``size``, width and height, px."""
     return np.asarray(Image.fromarray(channel).resize(size, Image.Resampling.BILINEAR))
 

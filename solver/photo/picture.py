@@ -37,14 +37,14 @@ FRAME_TOLERANCE = 0.01  # relative; sensors have some rows more or less
 FOCAL_PX = (0.2, 50.0)  # least and most, by a picture's longer side: 136 and 1.1 degrees
 
 # Tags of EXIF.
-ORIENTATION = 0x0112
-DETAILS = 0x8769
-FOCAL_MM = 0x920A
-FOCAL_FILM_MM = 0xA405
-PLANE_RESOLUTION = 0xA20E
-PLANE_UNIT = 0xA210
-WIDTH = 0xA002
-HEIGHT = 0xA003
+ORIENTATION = 0x0112  # which way up the picture is stored
+DETAILS = 0x8769  # the block that has the tags below
+FOCAL_MM = 0x920A  # of the lens
+FOCAL_FILM_MM = 0xA405  # that sees as much on film of 36 x 24 mm
+PLANE_RESOLUTION = 0xA20E  # pixels a unit of the sensor
+PLANE_UNIT = 0xA210  # this unit, a key of UNIT_MM
+WIDTH = 0xA002  # of the picture as it was taken, px
+HEIGHT = 0xA003  # the same
 UNIT_MM = {
     2: 25.4,
     3: 10.0,
@@ -89,8 +89,8 @@ PDF_WITHIN = 1024  # bytes from a file's beginning where readers of PDF look for
 ZIP_END = b"PK\5\6"  # signature of the end of a ZIP file
 ZIP_WITHIN = 66_000  # bytes from a file's end within which readers of ZIP look for it
 NEXT_MARKER = re.compile(rb"\xff+([^\x00\xd0-\xd7\xff])", re.DOTALL)  # of a JPEG, after any data
-END_OF_IMAGE = 0xD9
-START_OF_SCAN = 0xDA
+END_OF_IMAGE = 0xD9  # marker of a JPEG
+START_OF_SCAN = 0xDA  # the same: compressed data follow
 
 _unreadable = partial(file_error, "photo.unreadable")
 

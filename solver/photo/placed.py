@@ -17,7 +17,7 @@ from solver.errors import Finding, make_warning
 from solver.fitting.least_squares import TrustRegion, minimise
 from solver.photo.camera import PinholeCamera
 from solver.photo.expression import ExpressionOptions, marks_of, place_views
-from solver.photo.fit import PhotoFitOptions, PhotoPoint, PhotoProblem, View
+from solver.photo.fit import PhotoFitOptions, PhotoPoint, PhotoProblem, PhotoView
 from solver.photo.photo import Photo
 from solver.similarity import IDENTITY
 from solver.surface import Floats
@@ -101,7 +101,7 @@ def find_contradiction(
 
 def _alone(
     face: ShapeFace[State],
-    view: View,
+    view: PhotoView,
     point: PhotoPoint[State],
     camera: PinholeCamera,
     options: PhotoFitOptions,

@@ -58,7 +58,7 @@ def _shown(path: Path, picture: Picture, mask: Path | None) -> NDArray[np.bool_]
 def _undistort(
     lens: Lens, pixels: NDArray[np.float32], shown: NDArray[np.bool_] | None
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
-    """Return the picture and what counts of it as a pinhole has them, by linear interpolation.
+    """Return picture and mask resampled as a pinhole camera sees them, by linear interpolation.
 
     What the lens did not see does not count.
     """

@@ -101,10 +101,10 @@ def photo_picture(
         skin = Surface(point.skin, model.skin.faces)
         box = _box(camera.project(point.skin[model.face])[:, :2], photo.size)
         look = result.appearances[number] if result.appearances else None
-        shaded = _shaded(photo, camera, skin, model, look)
+        shaded = _draw_skin(photo, camera, skin, model, look)
         difference = np.clip(0.5 + CLEAR * (shaded - photo.pixels), 0.0, 1.0)
         known, given = marks_of(photo, points)
-        marked = _marked(photo, given, camera.project(known.at(point.skin))[:, :2])
+        marked = _draw_landmarks(photo, given, camera.project(known.at(point.skin))[:, :2])
         aside = head.body(head.lit(point.skin))
         bust = face_camera(point.skin, model.face, SIDE)
         panels = [_panel(each, box) for each in (photo.pixels, marked, shaded, difference)]
@@ -125,7 +125,7 @@ def identity_picture(
         skin = found.skins[row]
         box = _box(camera.project(skin[template.face_vertices])[:, :2], photo.size)
         known, given = marks_of(photo, points)
-        marked = _marked(photo, given, camera.project(known.at(skin))[:, :2])
+        marked = _draw_landmarks(photo, given, camera.project(known.at(skin))[:, :2])
         panels = [_panel(each, box) for each in (photo.pixels, marked)]
         for shown, view in ((skin, 0.0), (found.neutral, 0.0), (found.neutral, SIDE)):
             bust = face_camera(shown, template.face_vertices, view)
@@ -149,7 +149,7 @@ def _draw_rows(
     page.save(path)
 
 
-def _shaded(
+def _draw_skin(
     photo: Photo, camera: PinholeCamera, skin: Surface, model: SubjectModel, look: Appearance | None
 ) -> Pixels:
     """Return the photograph with the face's skin over it, in the light that was found."""
@@ -165,7 +165,7 @@ def _shaded(
     return pixels
 
 
-def _marked(photo: Photo, given: Floats, fitted: Floats) -> Pixels:
+def _draw_landmarks(photo: Photo, given: Floats, fitted: Floats) -> Pixels:
     """Return the photograph with its landmarks as they are given and as they are fitted."""
     pixels = photo.pixels.copy()
     size = max(1, round(MARK_PX * max(np.ptp(given, axis=0).max() / PANEL, 0.5)))

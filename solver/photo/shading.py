@@ -28,8 +28,8 @@ from solver.photo.camera import PinholeCamera
 from solver.photo.terms import ImageTerm, LinearResidual, by_vertices
 from solver.surface import Floats, Ints, Surface, area_normals, skew, unit_rows, vertex_normals
 
-HARMONICS = 9
-CHANNELS = 3
+HARMONICS = 9  # of degrees 0 to 2
+CHANNELS = 3  # red, green, blue
 
 
 # of what a Lambertian surface gathers of light of each degree (Ramamoorthi and Hanrahan 2001)

@@ -18,7 +18,7 @@ from solver.anatomy.template import Template
 from solver.errors import Finding, InputError
 from solver.meshio.raw import RawScan
 from solver.registration.landmarks import landmark_vertices
-from solver.registration.scan_surface import Samples, orient_outward, sample
+from solver.registration.scan_surface import Samples, orient_outward
 from solver.registration.search import (
     QUICK_SEARCH,
     REFINEMENT,
@@ -51,7 +51,6 @@ from solver.registration.units import (
 from solver.similarity import Similarity, fit_similarity
 from solver.surface import Floats, Ints, Surface, vertex_areas
 
-SCAN_SAMPLES = 60_000  # points that stand for a scan
 EXTENTS = (1e-9, 1e9)  # least and greatest extent of a scan in its own unit, whatever that is
 AROUND_FACE_MM = np.full((2, 3), 25.0)  # below and above the face: what is looked at closely
 
@@ -64,21 +63,12 @@ def face_surface(template: Template) -> Surface:
     return Surface(skin.vertices, skin.faces[is_face[skin.faces].all(axis=1)])
 
 
-def scan_samples(scan: RawScan) -> Samples:
-    """Return points spread over the scan, in its own frame; what is not a number is left out."""
-    finite = np.asarray(np.isfinite(scan.vertices).all(axis=1))
-    vertices = np.where(finite[:, None], scan.vertices, 0.0)
-    if len(scan.faces):
-        return sample(vertices, scan.faces[finite[scan.faces].all(axis=1)], None, SCAN_SAMPLES)
-    normals = None if scan.normals is None else np.nan_to_num(scan.normals[finite])
-    return sample(vertices[finite], scan.faces, normals, SCAN_SAMPLES)
-
-
 @dataclass(frozen=True)
 class Location:
     """The face in a scan: its pose, its size, and its place in mm."""
 
     pose: FacePose
+    near: Samples  # of the scan, in its own frame, that the pose puts about the face
     likeness: ShapeFit | None  # of the template to the face; None where there is surely none
     is_face: bool
     size: FaceSize  # and the unit of the file
@@ -113,8 +103,8 @@ def locate_face(
 ) -> Location:
     """Find the best place of the face in a scan, however bad, and with it unit and axes.
 
-    ``scan`` is mended, in its own unit and axes, ``samples`` are of it (:func:`scan_samples`);
-    ``frame`` holds the options ``unit``, ``eye_distance_mm``, ``up`` and ``forward``, as
+    ``scan`` is mended, in its own unit and axes, ``samples`` are of it; ``frame`` holds the options
+    ``unit``, ``eye_distance_mm``, ``up`` and ``forward``, as
     :data:`~solver.registration.units.FRAME`. Landmarks (``marks``), points (k, 3) of the scan and
     of the template, replace the search: who sets them has seen a face.
 
@@ -138,11 +128,12 @@ def locate_face(
         pose = refine_pose(face, samples, KDTree(samples.points), start, start.scale)
     motion = pose.motion
     certain = marks is not None
-    likeness, is_face = _judge_likeness(pose, samples, template, surface, certain=certain)
+    about = around(motion(samples.points), surface, AROUND_FACE_MM)
+    near = Samples(samples.points[about], samples.normals[about], samples.oriented)
+    likeness, is_face = _judge_likeness(pose, samples, near, template, surface, certain=certain)
     unit = choose_unit(motion.scale, given, scan.mm_per_unit)
     eyes = None
     if likeness is not None:
-        near = near_face(samples, motion, surface)
         eyes = _measure_eyes(likeness, near, template, surface, marks)
     wanted = frame.get("eye_distance_mm")
     if wanted is not None and eyes is not None:
@@ -156,6 +147,7 @@ def locate_face(
     there = factor * motion.inverse()(centre[None])[0]
     return Location(
         pose=pose,
+        near=near,
         likeness=likeness,
         is_face=is_face,
         size=FaceSize(unit, factor / motion.scale, *apart),
@@ -174,23 +166,22 @@ def around(points: Floats, face: Surface, margins: Floats) -> NDArray[np.bool_]:
     return np.asarray(((points > low) & (points < high)).all(axis=1))
 
 
-def near_face(samples: Samples, motion: Similarity, face: Surface) -> Samples:
-    """Return the samples, in their own frame, about the ``face`` that ``motion`` takes them to."""
-    near = around(motion(samples.points), face, AROUND_FACE_MM)
-    return Samples(samples.points[near], samples.normals[near], samples.oriented)
-
-
 def _judge_likeness(
-    pose: FacePose, samples: Samples, template: Template, face: Surface, *, certain: bool
+    pose: FacePose,
+    samples: Samples,
+    near: Samples,
+    template: Template,
+    face: Surface,
+    *,
+    certain: bool,
 ) -> tuple[ShapeFit | None, bool]:
-    """Return the likeness to what is at a pose, and whether it is a face; it may be ``certain``.
+    """Return the likeness to what is ``near`` a pose, and whether it is a face; ``certain``: it is.
 
     A doubtful pose is a face's if it is one once the template looks like the person. A template
     without shapes stays as it is.
     """
     if not (certain or pose.is_face or pose.cost <= SECOND.most_cost):
         return None, False
-    near = near_face(samples, pose.motion, face)
     if len(near.points) < REFINEMENT.least_points:  # landmarks may lie off the scan
         return None, False
     is_face = certain or pose.is_face

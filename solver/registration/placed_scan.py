@@ -14,7 +14,7 @@ from solver.surface import Floats, Ints, Surface, area_normals, directed_edges, 
 
 @dataclass(frozen=True)
 class ScanTrust:
-    """What a scan is trusted with; lengths in mm."""
+    """Limits up to which points of a scan are trusted; lengths in mm."""
 
     farthest: float = 8.0  # a place of the scan farther off is none of this skin
     trusted: float = 3.0  # distance at which confidence has fallen to 1/e
@@ -28,7 +28,7 @@ TRUST = ScanTrust()
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What a scan shows of n places of a skin."""
+    """A scan's values at n places of a skin."""
 
     faces: Ints  # (n,) the scan's triangles
     shares: Floats  # (n, 3) of their corners

@@ -16,7 +16,7 @@ from solver.errors import Finding, InputError
 from solver.meshio.raw import RawScan
 from solver.progress import ProgressCallback, Step, silent
 from solver.registration.landmarks import find_landmarks, landmark_vertices
-from solver.registration.locate import Location, locate_face, location_findings, scan_samples
+from solver.registration.locate import Location, locate_face, location_findings
 from solver.registration.nonrigid import (
     FROM_AFAR,
     REFINE,
@@ -25,7 +25,7 @@ from solver.registration.nonrigid import (
     free_form,
     unfold,
 )
-from solver.registration.scan_surface import ScanSurface, check_size, scan_surface
+from solver.registration.scan_surface import ScanSurface, check_size, sample, scan_surface
 from solver.registration.shape_fit import (
     Pins,
     ShapeFit,
@@ -54,7 +54,7 @@ def find_start(
     """
     check_size(len(raw.vertices), raw.file)
     marks = landmarks and (landmarks[0], template.skin.vertices[landmarks[1]])
-    place = locate_face(raw, scan_samples(raw), template, frame, marks)
+    place = locate_face(raw, sample(raw.vertices, raw.faces, raw.normals), template, frame, marks)
     findings = location_findings(raw, place, frame)
     for finding in findings:
         if finding.severity == "error":
@@ -62,9 +62,8 @@ def find_start(
     return scan_surface(raw, place.mm_per_unit), place, findings
 
 
-# A face that free form covers less, or leaves farther off on average, is none.
-LEAST_COVER = 0.15
-FARTHEST_MM = 1.0
+LEAST_COVER = 0.15  # of a face by free form: with less it is none
+FARTHEST_MM = 1.0  # that it is off on average: farther it is none
 STILL = 0.1  # least weight of the vertices on which an expression's head is aligned
 
 

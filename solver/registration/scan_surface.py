@@ -33,6 +33,7 @@ class ScanSurfaceOptions:
     cloud_neighbours: int = NEIGHBOURS  # of a point, on a plane
     turn: float = 20.0  # a turn by a radian counts as this distance
     compatible_neighbours: int = 3  # that are averaged
+    samples: int = 60_000  # points that stand for a scan
 
 
 SURFACE = ScanSurfaceOptions()
@@ -91,8 +92,12 @@ def scan_surface(scan: RawScan, mm_per_unit: float) -> ScanSurface:
     """
     vertices = mm_per_unit * scan.vertices
     if len(scan.faces):
-        thin = _thin(Surface(vertices, scan.faces), SURFACE.max_vertices)
-        surface = _drop_debris(thin, SURFACE.small_piece)
+        surface = _thin(Surface(vertices, scan.faces), SURFACE.max_vertices)
+        graph = adjacency(surface.faces, len(surface.vertices))
+        piece = connected_components(graph, directed=False)[1][surface.faces[:, 0]]
+        area = np.nan_to_num(igl.doublearea(surface.vertices, surface.faces))
+        share = np.bincount(piece, area) / max(float(area.sum()), 1e-12)
+        surface = part_of(surface, np.flatnonzero(share[piece] >= SURFACE.small_piece))
         check_size(len(surface.vertices), scan.file)
         return MeshScan(turn_outward(surface))
     points = _thin_points(vertices, SURFACE.max_vertices)
@@ -162,13 +167,21 @@ def check_size(count: int, file: str) -> None:
 
 
 def _thin(surface: Surface, most: int) -> Surface:
-    """Cluster vertices on a grid, as fine as ``most`` vertices allow (Rossignac 1993)."""
+    """Cluster vertices on a grid, as fine as ``most`` vertices allow (Rossignac 1993).
+
+    Faces that then use a vertex twice or lie on another go.
+    """
     if len(surface.vertices) <= most:
         return surface
     area = float(igl.doublearea(surface.vertices, surface.faces).sum()) / 2
     cell = 1.2 * np.sqrt(area / most)
     _, number = cells(surface.vertices, cell)
-    return _compact(mean_by_cell(surface.vertices, number), number[surface.faces])
+    faces = number[surface.faces]
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    thinned = Surface(mean_by_cell(surface.vertices, number), faces)
+    return part_of(thinned, np.sort(first))
 
 
 def _thin_points(points: Floats, most: int) -> Floats:
@@ -190,23 +203,6 @@ def mean_by_cell(values: Floats, number: Ints) -> Floats:
     """Return the means (c, 3) of the values (n, 3) in each cell, given the cell of each."""
     sums = np.stack([np.bincount(number, column) for column in values.T], axis=1)
     return np.asarray(sums / np.bincount(number)[:, None])
-
-
-def _compact(vertices: Floats, faces: Ints) -> Surface:
-    """Drop faces that use a vertex twice or lie on another face, and unused vertices."""
-    a, b, c = faces.T
-    faces = faces[(a != b) & (b != c) & (c != a)]
-    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    return part_of(Surface(vertices, faces), np.sort(first))
-
-
-def _drop_debris(surface: Surface, least_share: float) -> Surface:
-    count = len(surface.vertices)
-    label = connected_components(adjacency(surface.faces, count), directed=False)[1]
-    area = np.nan_to_num(igl.doublearea(surface.vertices, surface.faces))
-    owner = label[surface.faces[:, 0]]
-    share = np.bincount(owner, area) / max(float(area.sum()), 1e-12)
-    return _compact(surface.vertices, surface.faces[share[owner] >= least_share])
 
 
 def turn_outward(surface: Surface) -> Surface:
@@ -245,23 +241,21 @@ class Samples:
         return Samples(motion(self.points), motion.turn(self.normals), self.oriented)
 
 
-def sample(vertices: Floats, faces: Ints, normals: Floats | None, count: int) -> Samples:
+def sample(
+    vertices: Floats, faces: Ints, normals: Floats | None = None, count: int = SURFACE.samples
+) -> Samples:
     """Return about ``count`` points, spread by area over triangles or by space over a cloud.
 
     All vertices must be finite. Without faces or ``normals`` the normals are found from the
     neighbours, and their signs mean nothing.
     """
     rng = np.random.default_rng(0)
-    if len(faces):
-        return _on_triangles(vertices, faces, count, rng)
-    chosen = _spread(vertices, count, rng)
-    points = vertices[chosen]
-    if normals is not None:
-        return Samples(points, unit_rows(normals[chosen]), True)
-    return Samples(points, estimated_normals(points, vertices), False)
-
-
-def _on_triangles(vertices: Floats, faces: Ints, count: int, rng: np.random.Generator) -> Samples:
+    if not len(faces):
+        chosen = _spread(vertices, count, rng)
+        points = vertices[chosen]
+        if normals is None:
+            return Samples(points, estimated_normals(points, vertices), False)
+        return Samples(points, unit_rows(np.nan_to_num(normals[chosen])), True)
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     cross = area_normals(vertices, faces)
     area = np.linalg.norm(cross, axis=1)

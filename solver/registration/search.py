@@ -141,7 +141,11 @@ def find_pose(
     batch = slice(search.first_tips) if first else slice(search.first_tips, search.most_tips)
     best = FacePose(Similarity(scales[0], np.eye(3), np.zeros(3)), np.inf, 0.0, np.inf)
     for scale in scales:
-        cloud = _Cloud.thin(scale * samples.points, samples.normals, search.cell)
+        points = scale * samples.points
+        _, number = cells(points, search.cell)
+        places = mean_by_cell(points, number)
+        normals = unit_rows(mean_by_cell(samples.normals, number))
+        cloud = _Cloud(places, normals, KDTree(places))
         poses = _starts(face, cloud, batch, upright, search)
         if not len(poses.sizes):
             continue
@@ -170,13 +174,6 @@ class _Cloud:
     points: Floats
     normals: Floats
     tree: KDTree
-
-    @classmethod
-    def thin(cls, points: Floats, normals: Floats, cell: float) -> _Cloud:
-        """Return the means of points and normals in every cell of a grid."""
-        _, number = cells(points, cell)
-        places = mean_by_cell(points, number)
-        return cls(places, unit_rows(mean_by_cell(normals, number)), KDTree(places))
 
 
 @dataclass(frozen=True)

@@ -25,11 +25,10 @@ from solver.registration.topology import Topology
 from solver.similarity import Similarity, robust_weights, small_motion
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
-# Normals further apart are not of the same place: of a scan's surface, of its samples; those
-# that are closer than the last count in full.
-SURFACE_COSINE = 0.5
-SAMPLES_COSINE = 0.6
-FULL_COSINE = 0.9
+# Cosines of normals: those further apart are not of the same place.
+SURFACE_COSINE = 0.5  # of a model and a scan's surface
+SAMPLES_COSINE = 0.6  # of a model and a scan's samples
+FULL_COSINE = 0.9  # closer ones count in full
 
 
 @dataclass(frozen=True)
@@ -241,6 +240,9 @@ def fit_shapes(
     """
     count = len(shapes.prior)
     weights = np.zeros(count)
+    motions = np.full(7 if sizes else 6, np.inf)
+    lower = np.concatenate([np.where(shapes.bounded, 0.0, -np.inf), -motions])
+    upper = np.concatenate([np.where(shapes.bounded, options.strongest, np.inf), motions])
     for reach in options.reaches_mm:
         model = shapes.at(weights)
         rows = shapes.used
@@ -261,24 +263,13 @@ def fit_shapes(
         right = -weighted.T @ (pairs.offset + basis @ weights)
         normal[:count, :count] += shapes.prior
         normal[np.diag_indices_from(normal)] += 1e-9
-        solution = _solve(normal, right, shapes.bounded, options.strongest)
+        root = np.linalg.cholesky(normal)
+        solution = lsq_linear(root.T, np.linalg.solve(root, right), (lower, upper)).x
         weights = solution[:count]
         step = solution[count:]
         growth = float(np.clip(step[6], -options.growth, options.growth)) if sizes else 0.0
         motion = motion.then(small_motion(step[:6], growth))
     return ShapeFit(weights, shapes.at(weights), motion)
-
-
-def _solve(normal: Floats, right: Floats, bounded: NDArray[np.bool_], strongest: float) -> Floats:
-    """Minimise x N x / 2 - r x, those of the first unknowns that are ``bounded`` within bounds."""
-    if not bounded.any():
-        return np.asarray(np.linalg.solve(normal, right))
-    root = np.linalg.cholesky(normal)
-    lower = np.full(len(right), -np.inf)
-    upper = np.full(len(right), np.inf)
-    lower[: len(bounded)][bounded] = 0.0
-    upper[: len(bounded)][bounded] = strongest
-    return np.asarray(lsq_linear(root.T, np.linalg.solve(root, right), (lower, upper)).x)
 
 
 RIGID_REACHES_MM = (12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0, 3.0, 3.0, 3.0, 3.0, 3.0)  # of the rounds

@@ -11,7 +11,7 @@ from solver.surface import Floats, Ints, Surface
 
 CHILDREN = 4  # triangles that each is divided into: at its three corners, and the middle one third
 CORNERS = (0, 1, 3)  # numbers of those at the corners
-MIDDLE = 2
+MIDDLE = 2  # number of the one between them
 MATRICES = np.array(  # of the children's barycentric shares by the triangle's
     [
         [[1, -1, -1], [0, 2, 0], [0, 0, 2]],
@@ -32,7 +32,7 @@ class Subdivided:
 
     @classmethod
     def of(cls, skin: Surface, levels: int) -> Subdivided:
-        """Return a skin whose triangles are divided in four so many times, each time smoothed."""
+        """Return a skin whose triangles are divided in four ``levels`` times, and smoothed."""
         vertices, faces = igl.loop(skin.vertices, skin.faces, levels)
         return cls(Surface(np.asarray(vertices), np.asarray(faces, np.int64)), levels)
 

@@ -26,7 +26,7 @@ from solver.surface import Floats, Ints, adjacency
 
 @dataclass(frozen=True)
 class FillOptions:
-    """How unseen skin takes its colours."""
+    """Options of filling in the colours of unseen skin."""
 
     symmetric_mm: float = 1.0  # a template's outer vertices lie so near their mirror images
     symmetric_share: float = 0.9  # this share of them, at least

@@ -2,6 +2,6 @@
 
 from solver.rig.rig import ExpressionFit as ExpressionFit
 from solver.rig.rig import Rig as Rig
-from solver.rig.rig import ShapeFit as ShapeFit
 from solver.rig.rig import System as System
+from solver.rig.rig import SystemFit as SystemFit
 from solver.rig.rig import find_files as find_files

@@ -17,8 +17,9 @@ from solver.neck.anatomy import JOINTS, Muscle, Neck, NeckPose
 from solver.rig.pictures import ThreadOptions, tubes
 from solver.surface import Floats, Surface, join_surfaces
 
-SLACK = (0.95, 0.74, 0.68)
-STRONG = (0.66, 0.05, 0.08)
+# sRGB
+SLACK = (0.95, 0.74, 0.68)  # of a muscle that does nothing
+STRONG = (0.66, 0.05, 0.08)  # of one at its utmost
 
 
 @dataclass(frozen=True)
@@ -95,11 +96,11 @@ def _inside(
     colours = []
     for name in ("cranium", "mandible"):
         if name in model.bones:
-            pieces.append(_moved(model.bones[name], matrices[-1]))
+            pieces.append(_move(model.bones[name], matrices[-1]))
             colours.append(bone)
     for number in range(JOINTS - 1):
         drum = _drum(neck.centres[number], neck.centres[number + 1], options)
-        pieces.append(_moved(drum, matrices[number + 1]))
+        pieces.append(_move(drum, matrices[number + 1]))
         colours.append(bone)
     slack = linear(np.array(SLACK))
     strong = linear(np.array(STRONG))
@@ -117,7 +118,7 @@ def _inside(
     return DrawnBody(Lit(join_surfaces(pieces)), np.vstack(colour))
 
 
-def _moved(shape: Surface, matrix: Floats) -> Surface:
+def _move(shape: Surface, matrix: Floats) -> Surface:
     return shape.with_vertices(shape.vertices @ matrix[:3, :3].T + matrix[:3, 3])
 
 

@@ -28,7 +28,7 @@ BROWS = {
 
 @dataclass(frozen=True)
 class PaintOptions:
-    """How faces are painted and drawn."""
+    """Colours and sizes of painted faces."""
 
     size: tuple[int, int] = (384, 384)  # of a picture, px
     span: float = 1.45  # of the picture, by the face's height

@@ -363,7 +363,7 @@ class TrackShot:
         return np.asarray(np.linalg.norm((self.skin - self.shape)[face], axis=1))
 
     def figures(self, face: Ints) -> dict[str, Any]:
-        """Return what reports tell of it."""
+        """Return the figures for a report."""
         if self.skin is None:
             return {"name": self.name, "reached": False}
         off = self.off_mm(face)

@@ -94,7 +94,7 @@ class ExpressionFit:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShapeFit(ExpressionFit):
+class SystemFit(ExpressionFit):
     """One expression, fitted by weights of K shapes and a jaw instead of muscles.
 
     Its ``activations`` are what the shapes ask of the muscles, its ``jaw`` is that of the shapes
@@ -108,14 +108,14 @@ class ShapeFit(ExpressionFit):
 
 @dataclass(frozen=True)
 class System:
-    """Expressions of a rig's face that something else than its muscles drives.
+    """A rig's expressions fitted without its muscles: by muscle tracks (T) or plain shapes (B).
 
     In a rig's ``systems`` they are ``T``, muscle tracks, and ``B``, plain blendshapes; ``S``, its
     muscles, are its own expressions. Scans of one name are the same in all of them.
     """
 
     shapes: tuple[str, ...]  # names of the K shapes
-    expressions: tuple[ShapeFit, ...]
+    expressions: tuple[SystemFit, ...]
 
     def without(self, scans: Mapping[str, Floats]) -> System:
         """Return the system without the expressions that have other ``scans`` (v, 3) now."""
@@ -443,7 +443,7 @@ def _system_from(about: Mapping[str, Any], data: Arrays, model: SubjectModel, pa
         if data[name].shape != (len(data["names"]), size):
             raise ValueError(f"{name} are {data[name].shape}")
     fits = [
-        ShapeFit(**vars(fit), **{name: data[name][k] for name in controls})
+        SystemFit(**vars(fit), **{name: data[name][k] for name in controls})
         for k, fit in enumerate(_expressions_from(data, model, path))
     ]
     return System(shapes, tuple(fits))

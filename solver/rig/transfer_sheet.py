@@ -69,7 +69,7 @@ def draw_transfer(
     shown = most_different(played["weights"], with_face, options.shots)
     measured = read_live_link(animation / SIGNALS_FILE).weights
     numbers = (shown + start).tolist()
-    filmed = _filmed(video, {number: measured[number] for number in numbers}, options)
+    filmed = _cut_faces(video, {number: measured[number] for number in numbers}, options)
     face = Face(model)
     gaze = Gaze(model)
     draw = _drawing(model, points, options)
@@ -108,7 +108,7 @@ def most_different(weights: Floats, frames: Ints, count: int) -> Ints:
     return np.unique(frames[chosen])
 
 
-def _filmed(
+def _cut_faces(
     video: Path, measured: Mapping[int, Floats], options: TransferSheetOptions
 ) -> dict[int, Pixels]:
     """Return number -> the frame's picture, cut out about the face with the ``measured`` weights.

@@ -30,10 +30,8 @@ from solver.registration.locate import (
     likely_scales,
     locate_face,
     location_findings,
-    near_face,
-    scan_samples,
 )
-from solver.registration.scan_surface import Samples, estimated_normals
+from solver.registration.scan_surface import estimated_normals, sample
 from solver.registration.search import face_points
 from solver.registration.units import check_frame
 from solver.scans.cover import FAR_MM, Cover, cover, has_second_face, visible_part
@@ -178,7 +176,7 @@ def _check(
     result.figures |= {"vertices": len(raw.vertices), "triangles": len(raw.faces)}
     if len(scan.vertices) < 100 or (len(raw.faces) and not len(scan.faces)):
         raise InputError("scan.empty", f"{raw.file} holds no surface", file=raw.file)
-    samples = scan_samples(scan)
+    samples = sample(scan.vertices, scan.faces, scan.normals)
     surface = face_surface(template)
     face = face_points(surface)
     marking: list[Finding] = []
@@ -213,7 +211,7 @@ def _check(
         result.findings.append(make_finding("scan.two_heads", "error", message))
     winding = winding_findings(scan, samples, face, place)
     result.findings += _judge_winding(winding, marking, known=landmarks is not None)
-    detail = _look_closer(result, scan, samples, place, template, surface, role)
+    detail = _look_closer(result, scan, place, template, surface, role)
     result.parts = list(assess(scan, place, detail, marked=marks is not None))
 
 
@@ -233,21 +231,14 @@ def _judge_winding(winding: list[Finding], marking: list[Finding], *, known: boo
 
 
 def _look_closer(
-    result: ScanCheck,
-    scan: RawScan,
-    samples: Samples,
-    place: Location,
-    template: Template,
-    face: Surface,
-    role: str,
+    result: ScanCheck, scan: RawScan, place: Location, template: Template, face: Surface, role: str
 ) -> FaceDetail:
     """Add what the face lacks, its noise and spikes, its mouth and eyes."""
     fitted = place.likeness
     assert fitted is not None, "a face has a likeness"
-    near = near_face(samples, place.pose.motion, face)
     motion = fitted.motion
     size = place.mm_per_unit / motion.scale
-    seen = cover(near.transform(motion), fitted.vertices, template, face)
+    seen = cover(place.near.transform(motion), fitted.vertices, template, face)
     vertices = motion(scan.vertices)
     noise_mm, spacing_mm = roughness(vertices * size, seen.points[seen.covered] * size)
     marked = np.zeros(len(vertices), bool)

@@ -29,7 +29,7 @@ LISTS = (b"#EXTM3U", b"ffconcat")  # of other files
 
 @dataclass(frozen=True)
 class FilmLimits:
-    """What is read of films."""
+    """Limits of the films that are read."""
 
     least_side: int = 64  # px
     most_pixels: int = 36 << 20  # what cameras film
@@ -43,7 +43,7 @@ FILM_LIMITS = FilmLimits()
 
 
 @dataclass(frozen=True)
-class Picture:
+class FilmPicture:
     """A frame: its ``time`` in s, as the file has it."""
 
     time: float
@@ -67,7 +67,7 @@ def is_film(path: Path) -> bool:
 
 def decode_film(
     path: Path, code: str = "film", limits: FilmLimits = FILM_LIMITS
-) -> Iterator[Picture]:
+) -> Iterator[FilmPicture]:
     """Yield the pictures of a file, in the order of their times.
 
     Raises :class:`InputError`, with ``code`` before the dot: ``film.extra`` without PyAV,
@@ -102,7 +102,7 @@ class _Decoded:
     code: str
     limits: FilmLimits
 
-    def frames(self, film: Any) -> Iterator[Picture]:
+    def frames(self, film: Any) -> Iterator[FilmPicture]:
         """Yield the pictures of an opened file."""
         if not film.streams.video:
             raise _unreadable(self.path, self.code, "it has no pictures")
@@ -129,7 +129,7 @@ class _Decoded:
             last = time
             if count > self.limits.most_frames:
                 self._refuse_length()
-            yield Picture(time, frame)
+            yield FilmPicture(time, frame)
         if not count:
             raise _unreadable(self.path, self.code, "it has no frames")
         seconds, part = self.limits.missing

@@ -95,7 +95,7 @@ def _find_gap(height: Floats, profile: Floats) -> MouthGaps:
 
 
 @dataclass(frozen=True)
-class LidOptions:
+class UpperLidOptions:
     """The edge of an upper lid; lengths in mm."""
 
     step: float = 0.5  # of rows and columns
@@ -118,7 +118,7 @@ class LidOptions:
     fewest: int = 60  # vertices about an eye that show its lids
 
 
-LIDS = LidOptions()
+LIDS = UpperLidOptions()
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ def weights_of(face: DetectedFace) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What is kept of a face in a frame."""
+    """A face that was found in a frame."""
 
     middle: Floats  # (2,) px
     height: float  # px, from brow to chin

@@ -29,10 +29,10 @@ from solver.meshio.raw import RawScan, mend, read_raw
 from solver.progress import ProgressCallback, Step, silent
 from solver.registration.correspondence import Carrier, Correspondence, correspond
 from solver.registration.landmarks import match, read_landmarks
-from solver.registration.locate import face_surface, scan_samples
+from solver.registration.locate import face_surface
 from solver.registration.register import RegisteredFace, register
 from solver.registration.report import report
-from solver.registration.scan_surface import turn_outward
+from solver.registration.scan_surface import sample, turn_outward
 from solver.registration.search import face_points
 from solver.registration.topology import Topology, topology
 from solver.registration.units import AXES, FRAME
@@ -147,7 +147,7 @@ def _register(
     template = known.template
     scan = mend(raw)[0]
     own = face_surface(template)
-    samples = scan_samples(scan)
+    samples = sample(scan.vertices, scan.faces, scan.normals)
     marks = None
     if landmarks is not None:
         marks = match(landmarks.name, read_landmarks(landmarks), template)

@@ -351,7 +351,7 @@ class _Checks:
             yield from self._part(muscle, "muscle.in_bone", deep, name)
 
     def _part(self, muscle: Muscle, code: str, out: Floats, *place: str) -> Iterator[Finding]:
-        """Judge a muscle by how much of it is ``out`` (k,) mm of its place."""
+        """Judge a muscle by the distances ``out`` (k,), mm, of its points from its place."""
         part = float(np.mean(out > BOUNDS.out_mm))
         if part > BOUNDS.few:
             severity = "error" if part > BOUNDS.most else "warning"

@@ -240,7 +240,7 @@ def _check_options(model: SubjectModel, options: TrackOptions) -> Floats:
 
 @dataclass(frozen=True)
 class TrackPose:
-    """What controls ask of the flesh: the places ``target`` (p, 3), the jaw, and the muscles."""
+    """Flesh that controls ask for: its places ``target`` (p, 3), the jaw, and the muscles."""
 
     target: Floats  # (p, 3) M
     jaw: Floats  # (5,) b

@@ -150,13 +150,13 @@ def fit(
     :class:`~solver.tracks.response.TrackResponse`, where the start is no equilibrium.
     """
     begun = face.rest() if start is None else start
-    problem = _Problem(face, data, options, begun.q if before is None else before)
+    problem = _ShapeProblem(face, data, options, begun.q if before is None else before)
     found = minimise(problem, begun, TrustRegion(options.damping), options.stop, listen)
     return TrackFit(found.point, found.value, found.steps, found.termination)
 
 
 @dataclass(frozen=True)
-class _Problem(LeastSquaresProblem[State]):
+class _ShapeProblem(LeastSquaresProblem[State]):
     face: ShapeFace[State]
     data: Term
     options: TrackFitOptions

@@ -138,7 +138,7 @@ class TrackedFlesh:
 
     @cached_property
     def _force_pattern(self) -> tuple[Ints, Ints, Ints, Ints]:
-        """Which of the tets' forces of each muscle are on free coordinates, and where they go.
+        """Return, for each muscle, the forces of its tets on free coordinates and their rows.
 
         The pattern of their sum has the indptr (size + 1,) and the indices that come after.
         """

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from tests.browser.rig_place import Place, drawing_browser, served_rigs
 from tests.browser.stage import browser, on_stage
 from tests.service_client import Studio
 
@@ -19,6 +20,19 @@ def studio(tmp_path_factory: pytest.TempPathFactory, chromium: Any) -> Iterator[
 def chromium() -> Iterator[Any]:
     with browser() as chromium:
         yield chromium
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
+    with served_rigs(tmp_path_factory.mktemp("rigs")) as place:
+        yield place
+
+
+@pytest.fixture(scope="module")
+def drawing() -> Iterator[Any]:
+    """A browser that draws the rig view."""
+    with drawing_browser() as browser:
+        yield browser
 
 
 @pytest.fixture

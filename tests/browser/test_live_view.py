@@ -15,7 +15,7 @@ import pytest
 from solver.kinds.live_messages import HELD, FollowedFrame
 from solver.storage import write_container
 from solver.surface import Floats
-from tests.browser.rig_place import SECONDS, Place, drawing_browser, put_job, served_rigs, until
+from tests.browser.rig_place import SECONDS, Place, put_job, until
 
 pytestmark = pytest.mark.slow
 
@@ -23,18 +23,6 @@ SESSION = "0f0e0d0c-0000-4000-8000-000000000001"
 CLOSE_MM = 0.01
 MUSCLES = [f"muscle_{number}" for number in range(20)]
 Page = Any
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
-    with served_rigs(tmp_path_factory.mktemp("rigs")) as place:
-        yield place
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with drawing_browser() as browser:
-        yield browser
 
 
 class Session:
@@ -113,10 +101,10 @@ def session(place: Place, tmp_path: Path) -> Session:
 
 
 @pytest.fixture
-def rig(place: Place, chromium: Any, session: Session) -> Iterator[Callable[..., Page]]:
+def rig(place: Place, drawing: Any, session: Session) -> Iterator[Callable[..., Page]]:
     """Open the rig with a session; an error in the page's console fails the test."""
     faults: list[str] = []
-    context = chromium.new_context(viewport={"width": 1400, "height": 900})
+    context = drawing.new_context(viewport={"width": 1400, "height": 900})
     context.set_default_timeout(SECONDS * 1000)
 
     def open_rig(query: str = "") -> Page:

@@ -12,7 +12,7 @@ import pytest
 
 from solver.scans.markers.places.marker_set import MarkerSet
 from solver.surface import Floats
-from tests.browser.rig_place import SECONDS, Place, drawing_browser, served_rigs, until
+from tests.browser.rig_place import SECONDS, Place, drawing_browser, until
 from tests.service_client import Studio
 
 pytestmark = pytest.mark.slow
@@ -22,12 +22,6 @@ BOXES = """(selector) => [...document.querySelectorAll(selector)].map((each) => 
   const { left, top, right, bottom } = each.getBoundingClientRect();
   return [left, top, right, bottom];
 })"""
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
-    with served_rigs(tmp_path_factory.mktemp("rigs")) as place:
-        yield place
 
 
 @pytest.fixture

@@ -14,15 +14,7 @@ from PIL import Image
 
 from service.queue import table
 from solver.surface import Floats
-from tests.browser.rig_place import (
-    SECONDS,
-    Place,
-    drawing_browser,
-    end_job,
-    served_rigs,
-    start_job,
-    until,
-)
+from tests.browser.rig_place import SECONDS, Place, end_job, start_job, until
 
 pytestmark = pytest.mark.slow
 
@@ -32,20 +24,8 @@ CLOSE_MM = 0.01  # half floats are a few micrometres off at these lengths
 Page = Any
 
 
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
-    with served_rigs(tmp_path_factory.mktemp("rigs")) as place:
-        yield place
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with drawing_browser() as browser:
-        yield browser
-
-
 @pytest.fixture
-def look(place: Place, chromium: Any) -> Iterator[Callable[..., Page]]:
+def look(place: Place, drawing: Any) -> Iterator[Callable[..., Page]]:
     """Open a path of the page with a cold cache; an error in its console fails the test."""
     faults: list[str] = []
     contexts = []
@@ -56,7 +36,7 @@ def look(place: Place, chromium: Any) -> Iterator[Callable[..., Page]]:
             if message.type == "error" and not (refusals and is_refusal):
                 faults.append(message.text)
 
-        context = chromium.new_context(viewport={"width": 1280, "height": 800})
+        context = drawing.new_context(viewport={"width": 1280, "height": 800})
         contexts.append(context)
         context.set_default_timeout(SECONDS * 1000)
         page = context.new_page()

@@ -1,4 +1,4 @@
-"""How far off a face may be, where two maps that were learned apart disagree, or none can follow.
+"""Doubt of learned controls: how far off a face may be where two maps disagree, or none follows.
 
 Mixtures that the muscles cannot make well are those in which an exact solve jumps most, and are
 known worst.

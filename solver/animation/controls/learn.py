@@ -32,7 +32,7 @@ LEAST_PAIRS = 500  # to learn anything from
 
 @dataclass(frozen=True)
 class LearnOptions:
-    """What is learned, and of how much of the pairs."""
+    """Options of learning: which maps, and from which part of the pairs."""
 
     modes: int = 128  # of muscles and jaw
     held_out: int = 6  # one walk of so many is not learned from at first, and judges the maps

@@ -23,7 +23,7 @@ Singles = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class ShapeSizes:
-    """How far shapes move the face, and where they do so together.
+    """Sizes of shapes: how far each moves the face, alone and where it overlaps with others.
 
     ``alone`` (e,) are root mean squares in mm, ``together`` (e, e) the same of the geometric means
     of two shapes' motions: two that move other parts of the face hardly change each other.

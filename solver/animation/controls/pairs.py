@@ -236,7 +236,7 @@ class Pairs:
 
 @dataclass(frozen=True, eq=False)
 class Walked:
-    """What one walk found, and how many of its stops could not be fitted."""
+    """Pairs of one walk, and the number of its stops that could not be fitted."""
 
     rows: PairRows
     failed: int

@@ -157,7 +157,7 @@ def with_room(prior: GaussianPrior, table: KnownTerm | None) -> GaussianPrior:
 
 
 def is_of_same(table: KnownTerm | None, other: KnownTerm | None) -> bool:
-    """Tell whether tables know of the same muscles."""
+    """Tell whether two tables hold values of the same muscles."""
     if table is None or other is None:
         return table is other
     return np.array_equal(table.rates, other.rates)

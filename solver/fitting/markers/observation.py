@@ -145,7 +145,7 @@ class _Begun:
 
 
 class _Response:
-    """Derivative of the markers by the controls, while sensitivities are the same."""
+    """Derivative of the markers by the controls, kept while the sensitivities stay."""
 
     def __init__(self, places: MarkerPlaces, jacobian: Jacobian) -> None:
         self.jacobian = jacobian
@@ -441,7 +441,7 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
 
 
 def _is_alike(known: KnownTerm | None, before: KnownTerm | None, alike: float) -> bool:
-    """Tell whether as much is known of the same muscles, but for a part of it."""
+    """Tell whether two tables weigh the same muscles alike, to the relative tolerance ``alike``."""
     if not is_of_same(known, before):
         return False
     if known is None or before is None:

@@ -199,7 +199,7 @@ def _rounds(
 
 
 def _weights(seen: Floats, places: Floats, scale: float, options: RobustOptions) -> Floats:
-    """Return the weights (k,) of points so far off their places, 0 where none was seen."""
+    """Return weights (k,) of points by their distance from their places, 0 where none was seen."""
     off = np.linalg.norm(seen - places, axis=1) / (scale * options.scale_mm)
     return np.where(np.isnan(off), 0.0, robust_weights(np.nan_to_num(off) ** 2))
 

@@ -95,7 +95,7 @@ class ShapeRegression:
         return RegressedFrame(head, self._jaw(teeth, goal, spread, near.pose.b))
 
     def _loosen(self, term: MarkerTerm) -> MarkerTerm:
-        """Return the term with the spread of skin about what expressions make of it."""
+        """Return the term with less precision: skin strays from what expressions predict."""
         skin = np.where(self._places.on_skin, self._options.skin_mm**2, 0.0)
         precision = term.precision / (1.0 + skin[:, None] * term.precision)
         # a mandible with markers of its own may move otherwise than in any expression

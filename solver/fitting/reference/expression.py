@@ -65,7 +65,7 @@ class NotConvergedError(SolveError):
         self.last = last
 
     def notice(self, kept: str) -> Finding:
-        """Return it as a notice that says what is ``kept``."""
+        """Return the failure as a notice; ``kept`` says what is kept instead."""
         return make_warning(self.code, f"{self.message}; {kept}", self.context)
 
 

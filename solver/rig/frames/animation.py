@@ -175,9 +175,8 @@ def compare_animation_npz(
 
 # Frames as pictures, with what the face meets.
 
-# linear colour and opacity of what the face meets
-OBJECT = (0.35, 0.45, 0.52)
-OBJECT_OPACITY = 0.3
+OBJECT = (0.35, 0.45, 0.52)  # linear colour of what the face meets
+OBJECT_OPACITY = 0.3  # the face is seen through it
 
 
 class Filming:
@@ -268,7 +267,7 @@ def write_video(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], f
 
 
 @dataclass(frozen=True)
-class FilmOptions:
+class FilmingOptions:
     """Frames of the picture and the film."""
 
     shots: int = 8  # frames in the picture
@@ -292,7 +291,7 @@ def write_animation(
     objects: Sequence[SceneObject] = (),
     joints: Joints | None = None,
     video: bool = False,
-    options: FilmOptions = FilmOptions(),
+    options: FilmingOptions = FilmingOptions(),
 ) -> list[Path]:
     """Write ``frames``, whose ``skins`` (f, v, 3) are in the head's frame, mm; return the paths.
 
@@ -341,7 +340,7 @@ def write_animation(
 
 
 def _film(
-    filming: Filming, count: int, shot: Callable[[int], Shot], options: FilmOptions
+    filming: Filming, count: int, shot: Callable[[int], Shot], options: FilmingOptions
 ) -> Iterator[Pixels]:
     """Draw all frames; light, which takes longest, is interpolated between some of them."""
     light = filming.light(shot(0).skin)

@@ -299,7 +299,7 @@ class AnimatedSkin:
 
     @property
     def heads(self) -> Floats:
-        """Return the motion of the head (f, 6) in the frames, as they have it."""
+        """Return the head's motion (f, 6) that was added with the frames."""
         return np.array([frame.head for frame in self.frames])
 
     def morphs(self) -> tuple[dict[str, Floats], Floats]:

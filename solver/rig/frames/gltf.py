@@ -125,7 +125,7 @@ def write_faces(
         error = buffer.dense(errors[name], gl.SCALAR, gl.ARRAY_BUFFER)
         of_vertices = gl.Attributes(**{**base, ERROR_ATTRIBUTE: error})
         targets = _targets(buffer, neutral, normals, shapes, options)
-        meshes.append(_morphed(f"face.{name}", list(shapes), of_vertices, triangles, targets))
+        meshes.append(_morph_mesh(f"face.{name}", list(shapes), of_vertices, triangles, targets))
         own = weights[:, [names.index(shape) for shape in shapes]]
         values = {gl.WEIGHTS: (at_keys, buffer.dense(own.ravel(), gl.SCALAR))} if shapes else {}
         tracks.append(values)
@@ -188,7 +188,7 @@ def write_morphed(
         buffer,
         nodes,
         [
-            _morphed("face", names, of_vertices, triangles, targets),
+            _morph_mesh("face", names, of_vertices, triangles, targets),
             *(_mesh(buffer, solid, len(parts)) for solid in solids),
         ],
         [*parts, "object"] if solids else list(parts),
@@ -235,7 +235,7 @@ def _parts(neutral: Surface) -> dict[str, Ints]:
     return dict(sorted(skin_parts(neutral).items(), key=lambda part: neutral.faces[part[1]].min()))
 
 
-def _morphed(
+def _morph_mesh(
     name: str,
     names: Sequence[str],
     of_vertices: gl.Attributes,

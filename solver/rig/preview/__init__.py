@@ -25,8 +25,8 @@ from solver.rig.frames.skin_basis import (
     reduce_skin,
 )
 from solver.rig.preview.poses import (
+    PoseSample,
     Responses,
-    Sample,
     SampleOptions,
     SamplePlan,
     ShapeSampleOptions,
@@ -43,7 +43,7 @@ class PreviewError:
     """Distances ``off`` (s, k), mm, of ``samples`` on the ``face`` (k,) of ``neutral`` (n, 3)."""
 
     def __init__(
-        self, skin: ReducedSkin, samples: Sequence[Sample], neutral: Floats, face: Ints
+        self, skin: ReducedSkin, samples: Sequence[PoseSample], neutral: Floats, face: Ints
     ) -> None:
         self.samples = samples
         self.off: Floats = np.empty((len(samples), len(face)))
@@ -112,7 +112,7 @@ class Preview:
     dropped: int  # number of poses to measure with that could not
 
     def figures(self) -> dict[str, Any]:
-        """Return what is told of it, as JSON values; lengths in mm."""
+        """Return the figures for a report, as JSON values; lengths in mm."""
         return {
             "controls": len(self.controls),
             "modes": len(self.skin.basis),
@@ -184,7 +184,7 @@ def _make(
     measuring = plan.to_measure(controls, seed)
     simulator = SliderSolver(face, controls, face.rest, known)
 
-    def simulate(phase: str, poses: Sequence[Slid], start: float, end: float) -> list[Sample]:
+    def simulate(phase: str, poses: Sequence[Slid], start: float, end: float) -> list[PoseSample]:
         def announce(count: int) -> None:
             listen(phase, start + (end - start) * count / len(poses))
 
@@ -218,7 +218,7 @@ def _make(
 def _learn(
     face: Face,
     controls: Sliders,
-    samples: Sequence[Sample],
+    samples: Sequence[PoseSample],
     deadline: float,
     listen: Listener,
     options: PreviewOptions,

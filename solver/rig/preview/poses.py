@@ -147,7 +147,7 @@ def _alike(
     amounts: tuple[float, float],
     asymmetry: float,
 ) -> Floats:
-    """Return values (k,) of so many random controls of a kind, both sides about alike."""
+    """Return random values (k,) of one kind of controls, similar on both sides of the face."""
     sides: dict[str, list[int]] = {}
     for number in controls.of_kind(kind):
         name = controls.each[number].name
@@ -192,7 +192,7 @@ class ShapeSampleOptions(SamplePlan):
 
 
 @dataclass(frozen=True)
-class Sample:
+class PoseSample:
     """A pose of the sliders with its equilibrium: vertices x (p, 3) and the skin (n, 3)."""
 
     slid: Slid
@@ -217,7 +217,7 @@ class SliderSolver:
         self._known = [(self._last_values, rest.x)]
         self._known += [(controls.presets[name], x) for name, x in fitted.items()]
 
-    def solve(self, poses: Sequence[Slid], deadline: float, listen: Listener) -> list[Sample]:
+    def solve(self, poses: Sequence[Slid], deadline: float, listen: Listener) -> list[PoseSample]:
         """Return the samples of ``poses`` within reach, begun by ``deadline`` (monotonic time)."""
         samples = []
         for number, slid in enumerate(poses):
@@ -229,7 +229,7 @@ class SliderSolver:
                 self._last = state
                 self._last_values = slid.values
                 skin = self._face.whole_skin(state.x, state.pose.b)
-                samples.append(Sample(slid, state.x, skin))
+                samples.append(PoseSample(slid, state.x, skin))
                 self._known.append((slid.values, state.x))
             listen(number + 1)
         return samples
@@ -266,7 +266,7 @@ class Responses:
         self._of_x = np.ascontiguousarray(by_vertex.transpose(1, 0, 2).reshape(count, -1))
         self._of_mandible = modes[:, model.attached_mandible].reshape(count, -1)
 
-    def at(self, sample: Sample) -> Floats | None:
+    def at(self, sample: PoseSample) -> Floats | None:
         """Return the derivatives (r, k) at a sample; None where the flesh is about to buckle."""
         face = self._face
         model = self._face.model

@@ -16,9 +16,9 @@ from solver.model import SubjectModel, weights_hash
 from solver.rig.report.certificate import (
     Certificate,
     ExpressionCheck,
+    ExpressionMuscles,
     FleshCheck,
     JawFigures,
-    Muscles,
 )
 from solver.rig.report.checks import (
     Judgement,
@@ -161,7 +161,7 @@ def _crossing(found: Crossing | None) -> dict[str, float | None] | None:
     return {key: _plain(getattr(found, name)) for name, key in depths.items()}
 
 
-def _muscles(model: SubjectModel, found: Muscles) -> dict[str, dict[str, Any]]:
+def _muscles(model: SubjectModel, found: ExpressionMuscles) -> dict[str, dict[str, Any]]:
     columns = ("fibres", "shortest", "longest", "volume", "flesh_mm3")
     return {
         name: {column: rounded(getattr(found, column)[number]) for column in columns}

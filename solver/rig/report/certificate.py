@@ -48,7 +48,7 @@ class MuscleLimits:
 
 
 @dataclass(frozen=True)
-class Muscles:
+class ExpressionMuscles:
     """The m muscles of one expression, each array (m,)."""
 
     shortest: Floats  # least eigenvalue of S(a_j)
@@ -105,17 +105,19 @@ class Muscles:
         return np.flatnonzero((self.shortest <= 0.0) & self.is_judged)
 
 
-def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) -> Muscles:
+def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) -> ExpressionMuscles:
     """Return the figures of activations ``a`` (m, 6); ``volumes`` (n,) are the tets' at rest."""
     tensors = matrices(a)
     shortest, _, longest = np.asarray(np.linalg.eigvalsh(tensors), np.float64).T
     fibres = 1.0 - Contraction.of(model, volumes, S)(a)
-    return Muscles(shortest, longest, determinants(a), fibres, volumes_by_muscle(volumes, S))
+    return ExpressionMuscles(
+        shortest, longest, determinants(a), fibres, volumes_by_muscle(volumes, S)
+    )
 
 
 @dataclass(frozen=True)
 class StrayOptions:
-    """Flesh of a muscle that counts as outside of it."""
+    """Limits beyond which a muscle's flesh counts as outside of the muscle."""
 
     # its tet's middle lies further from the muscle's surface: people's muscles vary by millimetres
     beyond_mm: float = 5.0
@@ -212,7 +214,7 @@ class FleshCheck:
 class ExpressionCheck:
     """The checks of one expression."""
 
-    muscles: Muscles
+    muscles: ExpressionMuscles
     movers: Movers  # who contracts, by the actions that the expression's name speaks for
     asymmetry_mm: float | None  # of the scan's motion; None where it shows nothing
     jaw: JawFigures

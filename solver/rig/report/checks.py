@@ -36,7 +36,7 @@ class FigureLimits:
     least: bool = False
 
     def sign(self, value: float) -> float:
-        """Return the figure so that more of it is worse."""
+        """Return the figure with its sign turned where less is worse."""
         return -value if self.least else value
 
     def verdict(self, value: float) -> Verdict:

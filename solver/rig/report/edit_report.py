@@ -24,7 +24,7 @@ FORMAT = 1  # of edit.json and edit.npz
 
 
 @dataclass(frozen=True)
-class Compared:
+class EditedExpression:
     """One expression ``before`` and ``after`` edits (None: no rest found), as ``fitted`` (V, 3)."""
 
     name: str
@@ -40,7 +40,7 @@ class EditedPerson:
     edited: Edited
     before: Replayed
     after: Replayed
-    expressions: Sequence[Compared]
+    expressions: Sequence[EditedExpression]
 
     @property
     def original(self) -> SubjectModel:
@@ -52,7 +52,7 @@ class EditedPerson:
         """Return how far (V,) the skin at rest has moved."""
         return np.asarray(np.linalg.norm(self.after.skin - self.before.skin, axis=1))
 
-    def drift_mm(self, compared: Compared) -> Floats | None:
+    def drift_mm(self, compared: EditedExpression) -> Floats | None:
         """Return how much (k,) an expression's motion of the face differs from that before."""
         if compared.before is None or compared.after is None:
             return None
@@ -162,7 +162,7 @@ def _regions(person: EditedPerson) -> dict[str, dict[str, float]]:
     }
 
 
-def _expression(person: EditedPerson, compared: Compared, gauge: Gauge) -> dict[str, Any]:
+def _expression(person: EditedPerson, compared: EditedExpression, gauge: Gauge) -> dict[str, Any]:
     face = person.original.face
     before = compared.before
     after = compared.after

@@ -74,7 +74,7 @@ class Said:
     amount: float
 
     def __str__(self) -> str:
-        """Return all of it in words."""
+        """Return the remark as a phrase."""
         return f"{self.muscle} {self.words}"
 
 

@@ -15,7 +15,7 @@ from solver.contact.mouth import Mouth
 from solver.fitting.contraction import Contraction
 from solver.model import SubjectModel
 from solver.rig.report.measures import distances, rounded
-from solver.rig.rig import ExpressionFit, Rig, ShapeFit
+from solver.rig.rig import ExpressionFit, Rig, SystemFit
 from solver.surface import Floats, Ints
 
 SYSTEMS = {"S": "muscles", "T": "muscle tracks", "B": "plain shapes"}
@@ -95,7 +95,7 @@ class SystemMeasures:
 
     def _controls(self, fit: ExpressionFit) -> Floats:
         """Return weights (K,) of shapes, or contractions of muscles that have fibres."""
-        if isinstance(fit, ShapeFit):
+        if isinstance(fit, SystemFit):
             return fit.weights
         found = self.contraction(fit.activations)
         return np.asarray(found[np.isfinite(found)])

@@ -34,7 +34,7 @@ from solver.scans.markers.findings import (
 )
 from solver.scans.markers.places.actor import ActorWarp, fit_warp
 from solver.scans.markers.places.bind import BIND, Reference, place_take, places_of
-from solver.scans.markers.places.face_take import FACE, USUAL_RATE, FaceTake, LocatedTake
+from solver.scans.markers.places.face_take import FACE, USUAL_RATE, FaceMarkers, LocatedTake
 from solver.scans.markers.places.marker_set import BONY, MarkerSet
 from solver.scans.markers.prepare import PreparedTake, PrepareOptions
 from solver.scans.markers.readers.names import LOWER
@@ -110,7 +110,7 @@ def _check_rate(check: MarkerCheck, take: Take) -> None:
         add(check, "markers.rate", "warning", message, expected=USUAL_RATE)
 
 
-def _check_face(check: MarkerCheck, face: FaceTake) -> None:
+def _check_face(check: MarkerCheck, face: FaceMarkers) -> None:
     """Add which labels are on another face, on no face, or never seen."""
 
     def names(numbers: Ints) -> list[str]:

@@ -33,7 +33,7 @@ from solver.scans.markers.places.bind import (
 from solver.scans.markers.places.face_take import (
     FACE,
     USUAL_RATE,
-    FaceTake,
+    FaceMarkers,
     LocatedTake,
     choose_face,
     living_labels,
@@ -92,7 +92,7 @@ class PreparedTake:
     options: PrepareOptions = PrepareOptions()
 
     @cached_property
-    def face(self) -> FaceTake:
+    def face(self) -> FaceMarkers:
         """The labels that are on one face; raises as :func:`choose_face`."""
         return choose_face(self.take)
 

@@ -318,11 +318,10 @@ OPPOSITES = {
     "concave": "convex",
     "compress": "uncompress",
 }
-# Strength of one of two opposite shapes in somebody one standard deviation from the average; parts
-# of the way from 25 to 90 years, and from average to the greatest weight or muscle.
-PAIR_SD = 0.3
-AGE_SD = 0.3
-BUILD_SD = 0.5
+# Somebody one standard deviation from the average has so much of a shape.
+PAIR_SD = 0.3  # of one of two opposite ones
+AGE_SD = 0.3  # of the way from 25 to 90 years
+BUILD_SD = 0.5  # of the way from average to the greatest weight or muscle
 
 
 def shape_basis(head: Head) -> ShapeBasis:

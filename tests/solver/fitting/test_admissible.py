@@ -228,6 +228,7 @@ def test_what_muscles_did_is_found_again(free, face):
     np.testing.assert_allclose(found.pose.b, pose.b, atol=0.02)
 
 
+@pytest.mark.long
 def test_muscles_that_push_are_fitted_as_well_as_muscles_can(free, face):
     """Judged on its own: no fibre, stretch or volume beyond the limits, S being fitted too."""
     push = np.tile([1.4, 0.0, 0.0, 0.9, 0.0, 0.9], (2, 1))

@@ -147,6 +147,7 @@ def test_a_face_that_does_not_move_is_left_where_it_is_and_told():
     assert len(find_disagreements("still", (fit,))) == 1
 
 
+@pytest.mark.long
 def test_known_muscles_are_kept_to_and_more_is_found_again():
     """Of 40 points with 0.2 mm of noise; EMG of six muscles with a standard deviation of 0.1."""
     rng = np.random.default_rng(12)

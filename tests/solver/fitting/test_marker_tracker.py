@@ -148,6 +148,7 @@ def test_what_nothing_tells_of_fades_and_comes_back(face, places, known, take):
     assert off(face, again.state, skins[12]) < 0.35
 
 
+@pytest.mark.long
 def test_a_take_goes_on_from_what_a_frame_left(face, places, known, take):
     points = take[2]
     tracker, other = (tracker_of(face, places, known) for _ in range(2))

@@ -42,6 +42,7 @@ def test_units_that_move_other_places_are_joined():
     assert join_units(units, 0.0) == [("low",), ("high",), ("beside",)]
 
 
+@pytest.mark.long
 def test_muscles_of_a_unit_learn_to_make_its_skin():
     """A smile of 4 mm, which S by anatomy alone cannot make with the zygomatic muscles."""
     model = small_model()

@@ -12,7 +12,7 @@ from PIL import Image
 from solver.errors import InputError
 from solver.photo.camera import PinholeCamera
 from solver.photo.film import FilmOptions, FilmTracker, FrameProblem, RandomWalk, StepNoise
-from solver.photo.fit import PhotoFitOptions, PhotoPoint, PhotoProblem, View
+from solver.photo.fit import PhotoFitOptions, PhotoPoint, PhotoProblem, PhotoView
 from solver.photo.footage import FilmFile, Pictures, natural_order, open_film
 from solver.photo.mesh_points import landmark_points
 from solver.photo.photo import Photo
@@ -43,7 +43,7 @@ def test_a_frames_gradient_is_that_of_its_value() -> None:
     seen_by = camera(5.0)
     state = driven.move(driven.rest(), driven.tracks.controls({"browInnerUp": 0.3}))
     pixels = seen_by.project(POINTS.at(driven.skin(state)))[:, :2]
-    view = View((LandmarkTerm(POINTS, pixels, np.full(len(pixels), 2.0)),), seen_by)
+    view = PhotoView((LandmarkTerm(POINTS, pixels, np.full(len(pixels), 2.0)),), seen_by)
     before = PhotoPoint(driven.rest(), driven.skin(driven.rest()), IDENTITY, (seen_by,))
     walk = RandomWalk(before, StepNoise(), 1.0)
     problem = FrameProblem(PhotoProblem(driven, (view,), PhotoFitOptions(), moves_face=True), walk)

@@ -12,7 +12,14 @@ from solver.anatomy.skin_points import SkinPoints
 from solver.errors import InputError
 from solver.fitting.least_squares import LeastSquaresStep
 from solver.photo.camera import CAMERA_FREEDOM, POSE_FREEDOM, PinholeCamera
-from solver.photo.fit import FocalPrior, PhotoFitOptions, PhotoPoint, PhotoProblem, View, fit_photos
+from solver.photo.fit import (
+    FocalPrior,
+    PhotoFitOptions,
+    PhotoPoint,
+    PhotoProblem,
+    PhotoView,
+    fit_photos,
+)
 from solver.photo.pose import place_camera
 from solver.photo.terms import CurveTerm, LandmarkTerm, PseudoHuber
 from solver.similarity import small_motion
@@ -49,7 +56,7 @@ def points(model):
     return SkinPoints(corners, weights, tuple(map(str, range(60))), np.zeros(60))
 
 
-def view_of(points: SkinPoints, middle: np.ndarray, skin: np.ndarray, yaw: float) -> View:
+def view_of(points: SkinPoints, middle: np.ndarray, skin: np.ndarray, yaw: float) -> PhotoView:
     """Return a picture of a skin, from in front of the middle of points (n, 3)."""
     camera = camera_from(yaw, middle)
     noise = np.full(len(points.names), NOISE_PX)
@@ -57,7 +64,7 @@ def view_of(points: SkinPoints, middle: np.ndarray, skin: np.ndarray, yaw: float
     pixels = camera.project(points.at(skin))[:, :2] + random.normal(0, 0.1, (len(noise), 2))
     # of flat points two cameras look the same: it begins near the right one
     begun = camera.moved(np.array([0.05, -0.05, 0.05, 5.0, 5.0, 20.0, 0.05]))
-    return View((LandmarkTerm(points, pixels, noise),), begun, focal=FocalPrior(900.0, 0.1))
+    return PhotoView((LandmarkTerm(points, pixels, noise),), begun, focal=FocalPrior(900.0, 0.1))
 
 
 @pytest.mark.parametrize("kind", [TrackFace, PlainFace])

@@ -13,7 +13,7 @@ from solver.errors import InputError
 from solver.fitting.least_squares import LeastSquaresStep
 from solver.photo.camera import PinholeCamera
 from solver.photo.expression import place_views
-from solver.photo.identity import IdentityOptions, _Point, _Problem, _Shapes, fit_identity
+from solver.photo.identity import IdentityOptions, _IdentityProblem, _Point, _Shapes, fit_identity
 from solver.photo.mesh_points import landmark_points
 from solver.photo.photo import Photo
 from solver.similarity import fit_similarity
@@ -80,7 +80,7 @@ def test_the_model_is_the_objective_s() -> None:
     views, _ = place_views(photographs(somebody(0), 2.0), POINTS, TEMPLATE.skin, options.views)
     begun = _Point.at_rest(shapes, len(views))
     begun = replace(begun, cameras=tuple(view.camera for view in views))
-    problem = _Problem(shapes, tuple(views), options, moves_face=True)
+    problem = _IdentityProblem(shapes, tuple(views), options, moves_face=True)
     count = problem.places[-1][1].stop
     random = np.random.default_rng(1)
     scale = np.full(count, 0.05)

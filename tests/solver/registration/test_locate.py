@@ -19,14 +19,9 @@ from solver.errors import InputError, judge_findings
 from solver.meshio.obj import write_obj
 from solver.meshio.raw import RawScan, mend, read_raw
 from solver.registration.landmarks import landmark_vertices
-from solver.registration.locate import (
-    Location,
-    face_surface,
-    locate_face,
-    location_findings,
-    scan_samples,
-)
+from solver.registration.locate import Location, face_surface, locate_face, location_findings
 from solver.registration.register import find_start
+from solver.registration.scan_surface import sample
 from solver.registration.search import RefinementOptions, face_points, refine_pose
 from solver.registration.units import FRAME
 from solver.scans.check import check
@@ -88,7 +83,9 @@ def crop(head: Surface, kind: str, rng: np.random.Generator) -> Surface:
 
 def locate(scan: RawScan, frame: Mapping[str, Any] = FRAME) -> Location:
     mended, _ = mend(scan)
-    return locate_face(mended, scan_samples(mended), template(), frame)
+    return locate_face(
+        mended, sample(mended.vertices, mended.faces, mended.normals), template(), frame
+    )
 
 
 @pytest.mark.parametrize(
@@ -155,7 +152,7 @@ def test_a_given_unit_that_cannot_be_is_refused_by_both(tmp_path: Path) -> None:
 
 def test_a_verdict_is_by_the_limits_that_are_given() -> None:
     face = face_points(face_surface(template()))
-    samples = scan_samples(raw_scan(template().skin.vertices, template().skin.faces))
+    samples = sample(template().skin.vertices, template().skin.faces)
     here = Similarity(1.0, np.eye(3), np.zeros(3))
 
     def judge(options: RefinementOptions) -> tuple[bool, bool]:
@@ -175,7 +172,9 @@ def test_landmarks_replace_the_search(tmp_path: Path) -> None:
     scan, _ = mend(raw_scan(head.vertices @ turn.T / 10, head.faces))
     points = head.vertices[vertices] @ turn.T / 10
     marks = points, template().skin.vertices[vertices]
-    found = locate_face(scan, scan_samples(scan), template(), FRAME, marks)
+    found = locate_face(
+        scan, sample(scan.vertices, scan.faces, scan.normals), template(), FRAME, marks
+    )
     assert found.is_face
     assert found.size.unit.name == "cm"
     assert found.motion.then(Similarity(1.0, turn, np.zeros(3))).degrees < 6.0

@@ -13,7 +13,7 @@ import pytest
 from solver.errors import InputError, make_warning
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel, weights_hash
-from solver.rig.rig import FORMAT, ExpressionFit, Rig, ShapeFit, System
+from solver.rig.rig import FORMAT, ExpressionFit, Rig, System, SystemFit
 from solver.storage import Archive, read_arrays
 from tests.solver.block import block_model
 
@@ -53,12 +53,12 @@ def test_a_rig_comes_back_from_its_file_and_from_its_folder(rig: Rig, tmp_path: 
         assert (found.seconds, found.notices) == (rig.seconds, rig.notices)
 
 
-def by_shapes(rig: Rig, name: str, weight: float) -> ShapeFit:
+def by_shapes(rig: Rig, name: str, weight: float) -> SystemFit:
     """Return an expression of the rig as one that two shapes drive."""
     held = {each.name: getattr(rig.expressions[0], each.name) for each in fields(ExpressionFit)}
     lengths = np.arange(float(rig.model.muscle_count))
     own = {"weights": np.array([weight, 0.5]), "jaw_on_top": np.arange(5.0), "lengths": lengths}
-    return ShapeFit(**{**held, "name": name}, **own)
+    return SystemFit(**{**held, "name": name}, **own)
 
 
 def test_systems_come_back_and_a_rig_without_is_of_muscles_alone(rig: Rig, tmp_path: Path) -> None:

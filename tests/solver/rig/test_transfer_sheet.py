@@ -68,7 +68,7 @@ def test_frames_without_a_face_are_shown_where_there_are_no_others(
         return {number: np.zeros((*options.cell[::-1], 3), np.float32) for number in measured}
 
     monkeypatch.setattr(transfer_sheet, "read_chunks", lambda *_: frames)
-    monkeypatch.setattr(transfer_sheet, "_filmed", filmed)
+    monkeypatch.setattr(transfer_sheet, "_cut_faces", filmed)
     draw_transfer(tmp_path / "sheet.png", tmp_path / "film.mp4", tmp_path, model)
     assert shown
     with Image.open(tmp_path / "sheet.png") as page:

@@ -17,7 +17,7 @@ from solver.kinds.scene_recording import Recording
 from solver.registration.detector import EYE_CORNERS, DetectedFace
 from solver.rig.frames.animation import write_video
 from solver.scans import video
-from solver.scans.film import FilmLimits, Picture, decode_film, is_film
+from solver.scans.film import FilmLimits, FilmPicture, decode_film, is_film
 from solver.scans.performance import ARKIT_NAMES, FaceTake
 from solver.scans.recordings import read_recording
 from tests.fixtures import data_folder, face_landmarker
@@ -38,7 +38,7 @@ def face(place: Place) -> DetectedFace:
     return DetectedFace(points + np.array([column, row]), np.eye(3), weights)
 
 
-class Shown(Picture):
+class Shown(FilmPicture):
     def pixels(self) -> Any:
         return np.full((HEIGHT, WIDTH, 3), self.decoded, np.uint8)
 
@@ -156,7 +156,7 @@ def refused(path: Path, code: str) -> str:
     return error.value.message
 
 
-def decoded(path: Path, **limits: Any) -> list[Picture]:
+def decoded(path: Path, **limits: Any) -> list[FilmPicture]:
     return list(decode_film(path, "video", FilmLimits(**limits)))
 
 

@@ -6,7 +6,7 @@ import pytest
 from solver.fitting.objective import SkinDistance, Target
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackFace
-from solver.tracks.fit import TrackFitOptions, _Problem, fit
+from solver.tracks.fit import TrackFitOptions, _ShapeProblem, fit
 from tests.solver.tracks.block import block_shapes, tracked_block
 
 EXACT = {"stiffness_pa": 1.0, "tolerance": 1e-12, "settled_mm": 0.0}
@@ -47,7 +47,7 @@ def test_bounds_are_kept_exactly(face):
 
 def test_the_model_s_gradient_is_that_of_the_objective(face):
     _, data = scan_of(face, aside=0.7, bulge=0.4, open=0.5)
-    problem = _Problem(face, data, TrackFitOptions(w_t=0.1), face.rest().q)
+    problem = _ShapeProblem(face, data, TrackFitOptions(w_t=0.1), face.rest().q)
     state = face.move(face.rest(), face.tracks.controls({"aside": 0.2, "bulge": 0.3}))
     gradient = problem.linearise(state).gradient
     assert np.abs(gradient).max() > 1e-2

@@ -25,7 +25,6 @@ from scipy.interpolate import RBFInterpolator
 
 from solver.errors import Finding, InputError, make_warning, quote_names
 from solver.scans.markers.places.bind import onto_places, places_of, rest_places
-from solver.scans.markers.places.face_take import living_labels
 from solver.scans.markers.places.locate import FLIP, fit_most
 from solver.scans.markers.places.marker_set import BONY, MarkerSet
 from solver.scans.markers.readers.names import read_names
@@ -101,13 +100,13 @@ def carry(
 ) -> CarriedTake:
     """Carry a take of another person, at rest in the ``neutral`` rows, to the places of a set.
 
+    All of its labels are seen in some frame.
     Without these rows the likeliest rest is taken (``signal/rest.py``). Raises :class:`InputError`:
     ``markers.few``, ``markers.flat``, ``markers.mirrored``, or ``markers.other_person`` where the
     markers at rest do not lie like these places, in any size.
     """
     used = {each.label: each for each in markers.used}
-    living = living_labels(take).tolist()
-    take = take.pick([number for number in living if take.labels[number] in used])
+    take = take.pick([number for number, label in enumerate(take.labels) if label in used])
     on_bone = np.array([used[label].part in BONY for label in take.labels], bool)
     scale = markers.session.scale
     if np.sum(~on_bone) < options.least:
@@ -163,7 +162,7 @@ def _find_rest(take: Take, faults: Faults, rate: float) -> tuple[tuple[int, int]
 
 
 def _at_rest(motion: Motion, rows: tuple[int, int]) -> Floats:
-    """Return markers (k, 3) at rest in the head's frame; one that is hidden as others have it."""
+    """Return markers (k, 3) at rest in the head's frame; hidden ones follow from the others."""
     span = slice(rows[0], rows[1] + 1)
     rest = median_of_seen(motion.places[span])
     expected = median_of_seen(motion.expected[span])

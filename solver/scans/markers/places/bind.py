@@ -17,7 +17,7 @@ from solver.anatomy.embedding import barycentric
 from solver.mechanics.boundary import move_jaw, move_jaw_back
 from solver.model import JawFrame, SubjectModel
 from solver.registration.search import nose_tip
-from solver.scans.markers.places.face_take import FACE, FaceTake, LocatedTake
+from solver.scans.markers.places.face_take import FACE, FaceMarkers, LocatedTake
 from solver.scans.markers.places.locate import LOCATE, Located, heights_over
 from solver.scans.markers.places.marker_set import Marker, MarkerSet, Triple, places_over
 from solver.scans.markers.readers.names import PLACES, Named
@@ -136,7 +136,7 @@ def place_take(
 
 
 def place_markers(
-    face: FaceTake, placed: Floats, skin: Surface, height_mm: float | None = None
+    face: FaceMarkers, placed: Floats, skin: Surface, height_mm: float | None = None
 ) -> tuple[Marker, ...]:
     """Return a marker for every label that is ``placed`` (n, 3): on skin, bone, or ignored.
 

@@ -43,7 +43,7 @@ FACE = FaceOptions()
 
 
 @dataclass(frozen=True)
-class FaceTake:
+class FaceMarkers:
     """A take of k labels, n of which are on one face."""
 
     take: Take  # tracks count as labels where it has none
@@ -65,7 +65,7 @@ class FaceTake:
 class LocatedTake:
     """The n markers of a face: what is wrong with them, and where they lie at rest."""
 
-    face: FaceTake
+    face: FaceMarkers
     faults: Faults
     neutral: tuple[int, int]  # first and last row of the take at rest
     points: Floats  # (n, 3) at rest, in the axes and the unit of the take
@@ -84,7 +84,7 @@ class LocatedTake:
         return None if self.pose is None else self.pose.session(self.points)
 
 
-def choose_face(take: Take) -> FaceTake:
+def choose_face(take: Take) -> FaceMarkers:
     """Return a take with the labels that are on the face with the most of them.
 
     Raises :class:`InputError` ``markers.too_large`` for more markers than a face has.
@@ -101,7 +101,7 @@ def choose_face(take: Take) -> FaceTake:
         mm = by_names
         on_face, another = _largest_face(mm * take.positions, alive & ~is_body)
     numbers = np.flatnonzero(on_face)
-    return FaceTake(
+    return FaceMarkers(
         take,
         numbers,
         np.flatnonzero(alive & ~on_face),
@@ -191,7 +191,11 @@ def _usual_distances(positions: Floats, frames: int = 40) -> Floats:
 
 
 def locate_take(
-    face: FaceTake, skin: Surface, neutral: tuple[int, int] | None = None, *, compared: bool = True
+    face: FaceMarkers,
+    skin: Surface,
+    neutral: tuple[int, int] | None = None,
+    *,
+    compared: bool = True,
 ) -> LocatedTake:
     """Return where a face's markers lie on a ``skin``, at rest in the ``neutral`` rows.
 
@@ -217,7 +221,9 @@ def locate_take(
     return replace(found[best], rest=rests[best], rival=others[0] if others else None)
 
 
-def _locate_at(face: FaceTake, skin: Surface, faults: Faults, rows: tuple[int, int]) -> LocatedTake:
+def _locate_at(
+    face: FaceMarkers, skin: Surface, faults: Faults, rows: tuple[int, int]
+) -> LocatedTake:
     """Return where a face's markers lie on a ``skin``, at rest in some rows."""
     points = _rest_points(faults.motion, rows) / face.mm
     here = LocatedTake(face, faults, rows, points, None)

@@ -51,20 +51,19 @@ MOST_EVENTS = 1000  # of a take
 CHUNK_BYTES = 8 << 20  # of frames that are read at once
 
 # bytes of the header at which its words are
-POINTS = 2
-ANALOG = 4
-FIRST = 6
-LAST = 8
-SCALE = 12
-DATA = 16
-RATE = 20
+POINTS = 2  # how many in a frame
+ANALOG = 4  # how many numbers in a frame
+FIRST = 6  # number of the first frame
+LAST = 8  # and of the last
+SCALE = 12  # units a step of integers; negative: points are floats
+DATA = 16  # block in which they begin
+RATE = 20  # frames a second
 LONG_LABELS = 298  # byte of the word that says that events have labels of four characters
 LONG_LABELS_KEY = 12345  # by this
-# of events: where the header has them, and for how many it has room
-EVENT_COUNT = 300
-EVENT_TIMES = 304
-EVENT_LABELS = 396
-MOST_HEADER_EVENTS = 18
+EVENT_COUNT = 300  # of the header's events
+EVENT_TIMES = 304  # floats, s
+EVENT_LABELS = 396  # four characters each
+MOST_HEADER_EVENTS = 18  # that it has room for
 
 
 @dataclass(frozen=True)

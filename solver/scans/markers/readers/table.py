@@ -40,7 +40,7 @@ SAME_STEP = 0.1  # of the time between frames: it passed as between any two
 
 
 @dataclass(frozen=True)
-class Line:
+class TableLine:
     """A line of a file, without its end."""
 
     number: int
@@ -64,7 +64,7 @@ class Table:
         return [("its times", steps / span)] if span > 0 and steps else []
 
 
-def read_lines(file: str, stream: IO[bytes], options: TakeOptions) -> Iterator[Line]:
+def read_lines(file: str, stream: IO[bytes], options: TakeOptions) -> Iterator[TableLine]:
     """Give lines one after the other; none that is too long is ever whole in memory."""
     number = 0
     while line := stream.readline(options.longest_line + 1):
@@ -74,7 +74,7 @@ def read_lines(file: str, stream: IO[bytes], options: TakeOptions) -> Iterator[L
                 file, f"it has more than {options.longest_line} bytes", line=number
             )
         text = decode(line.removeprefix(b"\xef\xbb\xbf").rstrip(b"\r\n"))
-        yield Line(number, text, line.endswith((b"\n", b"\r")))
+        yield TableLine(number, text, line.endswith((b"\n", b"\r")))
 
 
 def split_row(text: str, separator: str | None) -> list[str]:
@@ -84,7 +84,7 @@ def split_row(text: str, separator: str | None) -> list[str]:
 
 def read_table(
     file: str,
-    lines: Iterator[Line],
+    lines: Iterator[TableLine],
     separator: str | None,
     columns: Sequence[int],
     width: int,
@@ -259,7 +259,7 @@ def read_trc(path: Path, options: TakeOptions) -> RawTake:
     return finish_table(file, names, table, about, options)
 
 
-def _coordinates(file: str, line: Line, separator: str | None) -> int:
+def _coordinates(file: str, line: TableLine, separator: str | None) -> int:
     """Return the number of points by the line with X1, Y1, Z1, X2 and so on."""
     axes = [field[:1].lower() for field in split_row(line.text, separator) if field]
     count = len(axes) // 3
@@ -269,7 +269,7 @@ def _coordinates(file: str, line: Line, separator: str | None) -> int:
     return count
 
 
-def _label_names(file: str, line: Line, separator: str | None, count: int) -> Sequence[str]:
+def _label_names(file: str, line: TableLine, separator: str | None, count: int) -> Sequence[str]:
     """Return labels, each over its x; where tabs are too few, one after the other."""
     fields = split_row(line.text, separator)
     if not fields[0].lower().startswith("frame"):
@@ -292,7 +292,7 @@ SEEN = "marker"  # the type of a marker's columns
 
 
 @dataclass(frozen=True)
-class _Track:
+class _PointColumns:
     """Three columns of one name, which begin at ``column``."""
 
     name: str
@@ -324,7 +324,7 @@ def read_motive(path: Path, options: TakeOptions) -> RawTake:
     return finish_table(file, [track.name for track in tracks], table, about, options)
 
 
-def _fields(file: str, line: Line) -> list[str]:
+def _fields(file: str, line: TableLine) -> list[str]:
     try:
         return [field.strip() for field in next(csv.reader([line.text]), [])]
     except csv.Error as error:
@@ -343,7 +343,7 @@ def _width(row: Sequence[str]) -> int:
     return max((column + 1 for column, field in enumerate(row) if field), default=0)
 
 
-def _tracks(file: str, rows: list[list[str]]) -> list[_Track]:
+def _tracks(file: str, rows: list[list[str]]) -> list[_PointColumns]:
     """Return all tracks of positions that the heading names."""
     axes = [field.lower() for field in rows[-1]]
     above = [row for row in rows[1:-1] if any(row)]
@@ -363,12 +363,12 @@ def _tracks(file: str, rows: list[list[str]]) -> list[_Track]:
         if not of_one or axes[column : column + 3] != ["x", "y", "z"]:
             reason = f"columns {column + 1} to {column + 3} are not x, y, z of one marker"
             raise unreadable_error(file, reason, line=len(rows))
-        tracks.append(_Track(_at(names, column), _at(kinds, column).lower(), column))
+        tracks.append(_PointColumns(_at(names, column), _at(kinds, column).lower(), column))
         column += 3
     return tracks
 
 
-def _choose_tracks(tracks: list[_Track]) -> list[_Track]:
+def _choose_tracks(tracks: list[_PointColumns]) -> list[_PointColumns]:
     """Return tracks of markers: as they were seen, or else as a solver has them."""
     seen = [track for track in tracks if track.kind == SEEN]
     names = {track.name for track in seen}

@@ -22,7 +22,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class MotionOptions:
+class TakeApartOptions:
     """Settings of taking a motion apart; lengths in mm, times in s."""
 
     head_rounds: int = 4  # of head motion and middle face in turns
@@ -39,7 +39,7 @@ class MotionOptions:
     noise: float = 1.5  # off the shapes; how much a frame's weights keep to what is usual
 
 
-MOTION = MotionOptions()
+MOTION = TakeApartOptions()
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,12 @@ def _hold_head(positions: Floats) -> tuple[Floats, Floats, Floats]:
     for _ in range(MOTION.head_rounds):
         known = np.isfinite(middle[:, 0])
         rotations, shifts = weighted_motions(points, np.nan_to_num(middle), weights * known)
-        _go_on(rotations, shifts, (seen & known).sum(axis=1) >= MOTION.least_markers)
+        is_placed = (seen & known).sum(axis=1) >= MOTION.least_markers
+        if is_placed.any():  # other frames keep the motion before, the first ones the next
+            last = _last_true(is_placed)
+            last[last < 0] = int(np.argmax(is_placed))
+            rotations = rotations[last]
+            shifts = shifts[last]
         placed = np.einsum("fij,fkj->fki", rotations, positions, optimize=True) + shifts[:, None]
         middle = median_of_seen(placed)
         off = np.nan_to_num(np.linalg.norm(placed - middle, axis=2))
@@ -105,13 +110,10 @@ def _hold_head(positions: Floats) -> tuple[Floats, Floats, Floats]:
     return rotations, shifts, middle
 
 
-def _go_on(rotations: Floats, shifts: Floats, known: Mask) -> None:
-    """Let frames without a motion of their own keep the one before, the first ones the next."""
-    if known.any():
-        last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
-        last[last < 0] = int(np.argmax(known))
-        rotations[:] = rotations[last]
-        shifts[:] = shifts[last]
+def _last_true(mask: Mask) -> Ints:
+    """Return the row of the last True up to each row of a mask (f, ...), -1 before the first."""
+    rows = np.arange(len(mask)).reshape(-1, *[1] * (mask.ndim - 1))
+    return np.maximum.accumulate(np.where(mask, rows, -1), axis=0)
 
 
 def _learn_shapes(changes: Floats, rate: float) -> tuple[Floats, Floats]:
@@ -342,8 +344,7 @@ def _places_before(places: Floats) -> tuple[Floats, Ints]:
     """Return where markers (f, k, 3) were seen last before each frame, and how many frames ago."""
     seen = np.isfinite(places[..., 0])
     numbers = np.arange(len(places))[:, None]
-    last = np.maximum.accumulate(np.where(seen, numbers, -1), axis=0)
-    last = np.concatenate([np.full((1, seen.shape[1]), -1), last[:-1]])
+    last = np.concatenate([np.full((1, seen.shape[1]), -1), _last_true(seen)[:-1]])
     before = places[np.maximum(last, 0), np.arange(seen.shape[1])]
     before[last < 0] = np.nan
     return before, numbers - last

@@ -11,7 +11,7 @@ import pytest
 
 from solver.errors import InputError, SolveError
 from solver.mechanics.flesh import IDENTITY
-from solver.rig import ExpressionFit, Rig, ShapeFit, System
+from solver.rig import ExpressionFit, Rig, System, SystemFit
 from solver.rig.exporters import export, export_measured, systems
 from solver.storage import read_container
 from tests.solver.block import block_model
@@ -25,12 +25,12 @@ def fitted(rig: Rig, name: str, away: float) -> ExpressionFit:
     return ExpressionFit(name, "test", a, np.zeros(5), skin, skin, error, 0, 1, 0.0, 0.0)
 
 
-def by_shapes(rig: Rig, name: str, away: float) -> ShapeFit:
+def by_shapes(rig: Rig, name: str, away: float) -> SystemFit:
     held = {
         each.name: getattr(fitted(rig, name, away), each.name) for each in fields(ExpressionFit)
     }
     own = {"weights": np.zeros(1), "jaw_on_top": np.zeros(5), "lengths": np.zeros(2)}
-    return ShapeFit(**held, **own)
+    return SystemFit(**held, **own)
 
 
 @pytest.fixture

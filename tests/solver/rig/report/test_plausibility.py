@@ -10,7 +10,7 @@ import pytest
 from solver.mechanics.boundary import FreeJaw
 from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
-from solver.rig.report.certificate import Muscles, jaw_motion, muscles
+from solver.rig.report.certificate import ExpressionMuscles, jaw_motion, muscles
 from solver.surface import Floats
 from tests.solver.block import block_model
 
@@ -29,7 +29,7 @@ def model() -> SubjectModel:
     return replace(block, fibres=fibres)
 
 
-def found(model: SubjectModel, left: Floats, right: Floats) -> Muscles:
+def found(model: SubjectModel, left: Floats, right: Floats) -> ExpressionMuscles:
     volumes = shape_gradients(model.rest, model.tets)[1]
     return muscles(model, volumes, model.weights, np.array([six(left), six(right)]))
 
