@@ -40,7 +40,7 @@ from solver.fitting.least_squares import (
 from solver.fitting.objective import Prior, Regulariser, SkinDistance, Target, Term
 from solver.fitting.recruitment import Recruitment
 from solver.fitting.sensitivity import Sensitivity
-from solver.fitting.steps import FeasibleStepOptions, solve_positive
+from solver.fitting.steps import FeasibleStepOptions
 from solver.scans.known_activations import NOTHING, KnownMuscles
 from solver.surface import Floats
 
@@ -124,15 +124,15 @@ def fit(
 
     ``matrix`` (size, size) is f's Gauss-Newton matrix without its priors, or that of a state
     nearby or of other data. Without it that of ``start`` is made, as dear as a few iterations.
-    Controls with bounds have the matrix of every state made, and a step that is the best within
-    them; a ``start`` with muscles outside is brought in first (:func:`enter`).
+    Controls with bounds take steps within them; a ``start`` with muscles outside is brought in
+    first (:func:`enter`).
 
     Where the descent gets stuck, or the flesh buckles as it settles or does not settle, the fit
     goes on from the best that did settle, else from the neutral face, every state on the way then
     being settled too. A descent that gets stuck where it began has found the minimum. Raises
     :class:`SolveError` (``solve.no_convergence``) if the face cannot be settled even so.
     """
-    if start is None and matrix is None and face.layout.bounds.is_free:
+    if start is None and matrix is None:
         matrix = rest_curvature(face)
     best = None
     begin = face.rest if start is None else enter(face, data, regulariser, start, descent)
@@ -182,8 +182,7 @@ def descend(
 ) -> ActivationFit:
     """Minimise f over (a, b), going from state to state by ``go``, which settles them or not."""
     if matrix is None:
-        free = start.pose.layout.bounds.is_free
-        matrix = curvature(face, data, start) if free else np.zeros((0, 0))
+        matrix = curvature(face, data, start)
     problem = _PoseProblem(face, data, regulariser, go, matrix, descent)
     stop = StopOptions(options.max_iterations, options.tolerance, options.tolerance)
     found = minimise(problem, start, TrustRegion(descent.damping), stop, listen)
@@ -201,30 +200,25 @@ class _PoseProblem:
     go: Continuation
     matrix: Floats
     options: DescentOptions
-    model: GaussNewton | DenseModel | None = None
+    model: GaussNewton | None = None
     second: SecondOrder | None = None
     taken: LeastSquaresStep | None = None  # the last step, which led to where f is linearised next
 
     def value(self, point: PosedFace) -> float:
         return objective(self.data, self.regulariser, point)
 
-    def linearise(self, point: PosedFace) -> GaussNewton | DenseModel:
+    def linearise(self, point: PosedFace) -> GaussNewton:
         before = self.model
-        model = self._gauss_newton(point)
+        # the model begins with the matrix of the one before
+        learnt = LearntMatrix.of(self.matrix) if before is None else before.learnt
+        parts = self.face, self.data, self.regulariser, point, learnt, self.options
+        model = GaussNewton(*parts)
         if self.second is None:
             self.second = SecondOrder(np.zeros((len(model.gradient), len(model.gradient))))
         if before is not None and self.taken is not None:
             self.second = self.second.after(self.taken, model.gradient - before.gradient)
         self.model = model.plus(self.second.matrix)
         return self.model
-
-    def _gauss_newton(self, point: PosedFace) -> GaussNewton | DenseModel:
-        if not point.pose.layout.bounds.is_free:
-            return _whole_model(self.face, self.data, self.regulariser, point, self.options.steps)
-        # the model begins with the matrix of the one before
-        before = self.model
-        learnt = before.learnt if isinstance(before, GaussNewton) else LearntMatrix.of(self.matrix)
-        return GaussNewton(self.face, self.data, self.regulariser, point, learnt, self.options)
 
     def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:
         self.taken = step
@@ -282,6 +276,7 @@ class GaussNewton:
     ) -> None:
         self._options = options
         self._layout = state.pose.layout
+        self._q = state.pose.vector()
         sensitivity = Sensitivity(face, state)
         by_x = data.gradient(state.estimate)
         self._sensitivity = sensitivity
@@ -301,22 +296,28 @@ class GaussNewton:
         """See :meth:`DenseModel.step`."""
         units = damping * self._layout.damping
         known = self._known + np.diag(units)
+        bounds = self._layout.bounds
         step = np.zeros_like(self.gradient)
         curved = np.zeros_like(self.gradient)
         for _ in range(self._options.products):
-            residual = -(self.gradient + curved)
-            direction = solve_positive(self.learnt.matrix + known, residual)
-            square = direction @ residual
+            gradient = self.gradient + curved
+            at = self.learnt.matrix + known, gradient, self._q + step
+            direction = self._layout.steps(*at, options=self._options.steps).best(gradient)
+            square = -float(direction @ gradient)
             if square <= self._options.accuracy**2 * step @ curved:
                 break
             seen = self._sensitivity.product(self._curvature, direction)
             self.learnt = self.learnt.update(direction, seen)
             image = seen + known @ direction
-            length = square / (direction @ image)
+            length = square / float(direction @ image)
+            if not bounds.is_free:
+                length = min(length, 1.0)
             step = step + length * direction
             curved = curved + length * image
         fraction = 1.0 / max(self._layout.reach(step) / trust, 1.0)
         step, curved = fraction * step, fraction * (curved - units * step)
+        if not bounds.contains(self._q + step):  # more volume than the ends of a part of a step
+            step = bounds.clip(self._q + step) - self._q
         slope = float(self.gradient @ step)
         quadratic = float(step @ curved)
         response = self._sensitivity.response.free_motion(self._sensitivity.pose, step)

@@ -24,6 +24,10 @@ from solver.surface import Floats, Ints
 class FeasibleSet(Protocol):
     """The values a (m, k) that m muscles can take, with the logarithmic barrier of that set."""
 
+    @property
+    def at_rest(self) -> Floats:
+        """The margins (m, bounds) of muscles at rest."""
+
     def margins(self, a: Floats) -> Floats:
         """Return how far ``a`` is inside every bound, (m, bounds): above 0 if it is."""
 

@@ -11,10 +11,12 @@ step is that one and H^-1 C^T l, with
 
     min_{l >= 0}  |V l|^2 / 2 - r . l
 
-a problem of non-negative least squares (Lawson and Hanson 1974, chapter 23). Bounds that the
-result breaks join C. The least stretch is concave and the bounds of fibres are linear, so that a
-step from one frame to the next is hardly brought back inside; it costs one factorisation of H,
-where an interior point (:mod:`.interior_point`) takes some twenty.
+a problem of non-negative least squares (Lawson and Hanson 1974, chapter 23). Linear bounds that the
+result breaks join C, and where it breaks none of these but bounds themselves, which bend, they are
+cut off by their tangents at the result (Kelley 1960, "The cutting-plane method for solving convex
+programs"): but for the greatest volume all bounds are concave, so that a cut takes nothing away
+that is inside. That costs one factorisation of H, where an interior point
+(:mod:`.interior_point`) takes some twenty.
 """
 
 from __future__ import annotations
@@ -37,13 +39,15 @@ from solver.surface import Floats, Ints
 
 @dataclass(frozen=True)
 class LinearisedOptions:
-    """The active set, and when a step by it is good for nothing."""
+    """The cuts, and when a step by them is good for nothing."""
 
-    rounds: int = 10  # in which bounds join the active ones
-    broken: float = 1e-9  # margin below 0 from which a bound counts as broken
-    ridge: float = 1e-10  # relative, as the bounds of a muscle may depend on each other
+    rounds: int = 20  # in which bounds are cut off
+    broken: float = 1e-9  # margin below 0 from which a linear bound counts as broken ...
+    outside: float = 1e-5  # ... and the bound itself, which is cut off then
+    ridge: float = 1e-8  # relative, as the bounds of a muscle may depend on each other
     parts: tuple[float, ...] = (1.0, 0.5, 0.25)  # of a step that are brought inside ...
-    worth: float = 0.7  # ... with a part of its gain, or there is none
+    worth: float = 0.3  # ... with a part of its gain, or there is none
+    kept: float = 1.02  # part of the margins that clipping leaves which a step leaves
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,7 @@ class FeasibleStepOptions:
     @classmethod
     def quick(cls) -> FeasibleStepOptions:
         """Return those of many fits, each from a state near by: about the best step will do."""
-        return cls(LinearisedOptions(worth=0.3), InteriorPointOptions(fall=0.03, short=1e-2))
+        return cls(interior=InteriorPointOptions(fall=0.03, short=1e-2))
 
 
 Follow = Callable[[Floats], Floats]
@@ -139,7 +143,8 @@ class SetSteps(StepModel):
         if found is not None:
             return found.change
         model = self.bounds, self.hessian, gradient, self.q
-        return interior_step(*model, self.options.interior).change
+        inside = interior_step(*model, self.options.interior).change
+        return self.bounds.clip(self.q + inside) - self.q
 
     @override
     def following(self) -> Follow:
@@ -171,15 +176,7 @@ def _solve(factor: Any, right: Floats) -> Floats:
         raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
 
 
-def solve_positive(matrix: Floats, right: Floats) -> Floats:
-    """Return the solution (size,) of a positive definite system.
-
-    Raises :class:`SolveError` (``solve.not_finite``) where there is none.
-    """
-    return _solve(_factorise(matrix), right)
-
-
-# The step within bounds that are made linear, by an active set.
+# The step within bounds that are made linear, by cutting planes.
 
 
 @dataclass(frozen=True)
@@ -210,8 +207,8 @@ def linearised_step(
 ) -> LinearisedStep | None:
     """Return about the best step (size,) from q (size,), its end being inside the bounds.
 
-    Where q is outside it begins at the nearest that is not. None where the bounds bend too much
-    even along a part of it. ``hessian`` H is (size, size), ``gradient`` g (size,). Raises
+    Where q is outside it begins at the nearest that is not. None where cuts do not lead to what is
+    inside. ``hessian`` H is (size, size), ``gradient`` g (size,). Raises
     :class:`SolveError` (``solve.not_finite``) where H is not positive definite, or anything is not
     finite.
     """
@@ -224,11 +221,14 @@ def linearised_step(
     entered = begin - q
     gradient = gradient + hessian @ entered
     try:
-        ahead = _active_set_step(_LinearBounds(bounds, begin), root, free - entered, options)
+        ahead = _cut_step(bounds, begin, root, free - entered, options)
     except (np.linalg.LinAlgError, RuntimeError):  # too many bounds that depend on each other
         return None
     step, active = ahead
-    least = options.worth * _gain(step, hessian, gradient)
+    promised = _gain(step, hessian, gradient)
+    if promised <= 0.0:  # it is the best already
+        return LinearisedStep(entered, root, active)
+    least = options.worth * promised
     for part in options.parts:
         inside = bounds.clip(begin + part * step) - begin
         if _gain(inside, hessian, gradient) >= least:
@@ -240,29 +240,44 @@ def _gain(step: Floats, hessian: Floats, gradient: Floats) -> float:
     return -float(step @ (gradient + 0.5 * hessian @ step))
 
 
-def _active_set_step(
-    bounds: _LinearBounds, root: Floats, free: Floats, options: LinearisedOptions
+def _cut_step(
+    bounds: Bounds, q: Floats, root: Floats, free: Floats, options: LinearisedOptions
 ) -> tuple[Floats, Floats]:
-    """Return the step within linear bounds, and V of those that hold it.
+    """Return the step from q (size,) within bounds made linear, and V of those that hold it.
 
     ``free`` is the step without bounds, ``root`` is L.
     """
+    assert bounds.feasible is not None, "a box is kept by bounded least squares"
+    at_q = bounds.feasible.margins(q[bounds.muscles])
+    # what is clipped would go back so far
+    kept = np.minimum(at_q, options.kept * bounds.clipped * bounds.feasible.at_rest)
+    tangent = _LinearBounds(bounds, q, kept)
     step = free
-    active = np.zeros(0, np.int64)
+    held = np.zeros(0, np.int64)  # numbers of tangent bounds that hold the step, -1 of cuts
     columns = np.zeros((len(free), 0))
-    multipliers = np.zeros(0)
+    broken = np.zeros(0)
     for _ in range(options.rounds):
-        broken = np.flatnonzero(bounds.margins(step) < -options.broken)
-        broken = np.setdiff1d(broken, active)
-        if len(broken) == 0:
+        linear, at = tangent, np.zeros_like(step)
+        beyond = np.flatnonzero(tangent.margins(step) < -options.broken)
+        joining = np.setdiff1d(beyond, held)
+        numbers = joining
+        if len(joining) == 0:
+            linear, at = _LinearBounds(bounds, q + step, kept), step
+            joining = np.flatnonzero(linear.at_q < -options.outside)
+            numbers = np.full(len(joining), -1)
+        if len(joining) == 0:
             break
-        active = np.concatenate([active, broken])
-        new = scipy.linalg.solve_triangular(root, bounds.rows(broken).T, lower=True)
+        rows = linear.rows(joining)
+        new = scipy.linalg.solve_triangular(root, rows.T, lower=True)
         columns = np.hstack([columns, new])
-        multipliers = _multipliers(columns, -bounds.margins(free)[active], options.ridge)
+        broken = np.append(broken, -linear.margins(free - at)[joining])
+        held = np.append(held, numbers)
+        multipliers = _multipliers(columns, broken, options.ridge)
         pull = columns @ multipliers
         step = free + scipy.linalg.solve_triangular(root, pull, lower=True, trans="T")
-    return step, columns[:, multipliers > 0.0]
+        holds = multipliers > 0.0
+        columns, broken, held = columns[:, holds], broken[holds], held[holds]
+    return step, columns
 
 
 def _multipliers(columns: Floats, broken: Floats, ridge: float) -> Floats:
@@ -275,21 +290,27 @@ def _multipliers(columns: Floats, broken: Floats, ridge: float) -> Floats:
 
 
 class _LinearBounds:
-    """The margins of bounds by steps from q, to first order: the muscles' set, then the box."""
+    """The margins of bounds by steps from q, to first order: the muscles' set, then the box.
 
-    def __init__(self, bounds: Bounds, q: Floats) -> None:
+    ``kept`` (m, bounds) of the set's margins are not there to be used up.
+    """
+
+    def __init__(self, bounds: Bounds, q: Floats, kept: Floats) -> None:
         assert bounds.feasible is not None, "a box is kept by bounded least squares"
         self._bounds = bounds
         a = q[bounds.muscles]
-        self._slopes = bounds.feasible.slopes(a)
-        self._at_q = np.concatenate([bounds.feasible.margins(a).ravel(), bounds.room(q)])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self._slopes = bounds.feasible.slopes(a)
+        margins = bounds.feasible.margins(a) - kept
+        margins[~np.isfinite(margins)] = np.inf  # of volume, where a stretch is negative
+        self.at_q = np.concatenate([margins.ravel(), bounds.room(q)])
 
     def margins(self, step: Floats) -> Floats:
         """Return the margins (n,) after a step (size,)."""
         by_muscle = np.einsum("jbk,jk->jb", self._slopes, step[self._bounds.muscles])
         low, high = self._bounds.bounded_places
         change = np.concatenate([by_muscle.ravel(), step[low], -step[high]])
-        return np.asarray(self._at_q + change)
+        return np.asarray(self.at_q + change)
 
     def rows(self, chosen: Ints) -> Floats:
         """Return the derivatives (k, size) of the ``chosen`` (k,) margins by a step."""

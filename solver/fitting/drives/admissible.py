@@ -144,6 +144,11 @@ class AdmissibleSet:
             ]
         )
 
+    @cached_property
+    def at_rest(self) -> Floats:
+        """The margins (m, 9) of muscles at rest."""
+        return self.margins(np.tile(IDENTITY, (len(self.tensors), 1)))
+
     def slopes(self, a: Floats) -> Floats:
         """Return the derivatives (m, 9, 6) of the margins, where stretches are not the same."""
         values, axes = np.linalg.eigh(matrices(a))
@@ -170,14 +175,15 @@ class AdmissibleSet:
 
         ``kept`` is the least distance to every bound, by that at rest.
         """
-        least = kept * self.margins(np.tile(IDENTITY, (len(a), 1)))
+        least = kept * self.at_rest
         found = a.copy()
+        beyond = np.flatnonzero((self.margins(found) < least).any(axis=1))
         for _ in range(self.options.rounds):
-            beyond = np.flatnonzero((self.margins(found) < least).any(axis=1))
             if len(beyond) == 0:
                 return found
             some = replace(self, tensors=self.tensors[beyond])
             found[beyond] = some._project(found[beyond], self.options.further * least[beyond])
+            beyond = beyond[(some.margins(found[beyond]) < least[beyond]).any(axis=1)]
         part = np.ones(len(a))
         for _ in range(self.options.shrinks):
             shrunk = IDENTITY + part[:, None] * (found - IDENTITY)

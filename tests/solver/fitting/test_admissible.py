@@ -120,7 +120,7 @@ def test_margins_have_their_slopes():
 
 
 def test_a_step_to_the_next_frame_is_about_the_best_within_the_bounds():
-    """From where another goal has led, in a box as well; too long a step is left to others."""
+    """From where another goal has led, and from far outside, in a box as well."""
     admissible = random_set(8, seed=5)
     rng = np.random.default_rng(7)
     jaw = replace(jaw_block(), lower=np.full(5, -0.1), upper=np.full(5, 0.2))
@@ -133,20 +133,22 @@ def test_a_step_to_the_next_frame_is_about_the_best_within_the_bounds():
     begin = -hessian @ goal
     q = layout.rest + interior_step(bounds, hessian, begin, layout.rest).change
     gradient = begin + hessian @ (q - layout.rest) - hessian @ shift
-    ahead = linearised_step(bounds, hessian, gradient, q)
-    assert ahead is not None
-    found = ahead.change
-    best = interior_step(bounds, hessian, gradient, q).change
-
-    def gain(step):
-        return -(gradient @ step + 0.5 * step @ hessian @ step)
-
-    assert bounds.contains(q + found)
-    np.testing.assert_array_equal(found, bounds.clip(q + found) - q)
-    assert gain(found) > 0.95 * gain(best) > 0.0
     free = np.linalg.solve(hessian, -gradient)
     assert not bounds.contains(q + free)
-    assert linearised_step(bounds, hessian, gradient, layout.rest + 9.0 * goal) is None
+
+    def gain(step, at):
+        inside = bounds.clip(at) - at
+        step, start = (gradient @ each + 0.5 * each @ hessian @ each for each in (step, inside))
+        return start - step
+
+    for at, part in ((q, 0.99), (layout.rest + 9.0 * goal, 0.8)):
+        ahead = linearised_step(bounds, hessian, gradient, at)
+        assert ahead is not None
+        found = ahead.change
+        best = interior_step(bounds, hessian, gradient, at).change
+        assert bounds.contains(at + found)
+        np.testing.assert_allclose(found, bounds.clip(at + found) - at, atol=1e-12)
+        assert gain(found, at) > part * gain(best, at) > 0.0
 
 
 def test_a_nearly_singular_model_is_minimised_too():
