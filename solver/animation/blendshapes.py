@@ -5,8 +5,8 @@ is that of an expression of a known S. Which of ARKit's weights drives a shape, 
 
 A corrective shape (``mouthClose`` brings the lips of an open jaw together) cannot be had alone:
 its lips would go through each other. It is solved together with the one that it corrects, both half
-way, and is what the two have beyond that one. Lips that met over a jaw as wide open as it goes would
-be stretched further than flesh is.
+way, and is what the two have beyond that one. Lips that met over a jaw as wide open as it goes
+would be stretched further than flesh is.
 """
 
 from __future__ import annotations
