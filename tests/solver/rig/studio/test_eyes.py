@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import io
+from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
-from solver.rig.studio.eyes import EyeImageOptions, eye_image, eye_places
+from solver.rig.frames.read_back import split_glb
+from solver.rig.studio.eyes import EYE_COLOURS, EyeImageOptions, eye_image, eye_places
+from solver.rig.studio.glb import write_glb
+from solver.rig.studio.light_rig import LightRig
+from solver.rig.studio.shapes import StudioShapes
+from tests.fixtures import small_model
 
 
 def test_the_iris_lies_where_an_eyeball_looks() -> None:
@@ -30,3 +36,23 @@ def test_the_iris_lies_where_an_eyeball_looks() -> None:
     # as it is seen: up is up, the subject's left at the image's right
     left = eye_places(points)[(turn == turns[1]) & (way == 0.0)]
     assert left[0, 0] > 0.5
+
+
+def test_a_rig_s_eyes_wear_the_image(tmp_path: Path) -> None:
+    model = small_model()
+    still = np.zeros((1, *model.skin.vertices.shape))
+    none = StudioShapes(("jawOpen",), still, np.zeros((1, 5)), np.zeros((1, 2, 3)), np.zeros(1))
+    path = tmp_path / "studio.glb"
+    write_glb(LightRig.of(model, none, "shapes"), path)
+    document, _ = split_glb(path)
+    worn = {
+        document["materials"][primitive["material"]]["name"]: "TEXCOORD_0"
+        in primitive["attributes"]
+        for mesh in document["meshes"]
+        for primitive in mesh["primitives"]
+    }
+    assert worn["eyes"]
+    assert not worn["skin"]
+    assert [f"{image['name']}.png" for image in document["images"]] == [EYE_COLOURS]
+    eyes = next(each for each in document["materials"] if each["name"] == "eyes")
+    assert eyes["pbrMetallicRoughness"]["baseColorTexture"]["index"] == 0
