@@ -1,6 +1,6 @@
 """How close the light rig that a studio ships is to the flesh.
 
-    python -m benchmarks.studio_rig [--rig FILE] [--blendshapes FILE] [--learned FILE]
+    python -m benchmarks.studio_rig [--rig FILE] [--blendshapes FILE] [--only eye] [--learned FILE]
         [--recording FILE] [--scan FILE [--template FILE] [--picture FILE]] [--detail-picture FILE]
         [--parts shapes,blink,levels,files,played,texture,detail] --json -
 
@@ -26,6 +26,7 @@ import argparse
 import logging
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,10 +37,12 @@ from benchmarks.documents import Figures, Section, Table
 from benchmarks.muscle_actions import has_lids, lid_gap
 from benchmarks.texture_views import measure
 from myoface.demo.outcome import khronos_validation
+from solver.anatomy.template import ShapeBasis
 from solver.animation import RecordedDrives
 from solver.animation.blendshapes import (
     Blendshapes,
     DrivenShapes,
+    Solved,
     expression_targets,
     solve_blendshapes,
 )
@@ -57,6 +60,7 @@ from solver.rig.studio.shapes import FleshShapes, StudioShapes, solve_studio_sha
 from solver.scans.performance import ARKIT_NAMES, read_live_link
 from solver.scene import Stage
 from solver.scene.places import Places
+from solver.templates.ict_facekit import arkit_source
 
 log = logging.getLogger(__name__)
 PARTS = ("shapes", "blink", "levels", "files", "played", "texture", "detail")
@@ -74,7 +78,10 @@ def main() -> None:
     subjects.add_controls(parser)
     parser.add_argument("--rig", type=Path, help="rig.npz: read if there, else left in it")
     parser.add_argument("--recording", type=Path, help="of Live Link Face, for ``played``")
-    parser.add_argument("--blendshapes", type=Path, help="blendshapes.npz: read, else left in it")
+    parser.add_argument(
+        "--blendshapes", type=Path, help="blendshapes.npz: what it lacks is solved and left in it"
+    )
+    parser.add_argument("--only", default="", help="shapes whose names begin so")
     parser.add_argument("--learned", type=Path, help="controls.npz that move the flesh")
     parser.add_argument(
         "--scan", type=Path, help="a raw scan with colours, for ``texture`` and ``detail``"
@@ -115,7 +122,7 @@ class _Bench:
         self.options = options
         self.rig = subject_fits.subject_rig(options, options.rig)
         self.model = self.rig.model
-        self.basis = subjects.shapes(options)
+        self.basis = _beginning(subjects.shapes(options), options.only)
         self.driven = self._blendshapes()
         flesh = FleshShapes(self.rig, self.driven, Places(self.model, {}))
         begin = time.perf_counter()
@@ -132,15 +139,20 @@ class _Bench:
 
     def _blendshapes(self) -> Blendshapes:
         path = self.options.blendshapes
+        model = self.model
+        S = self.rig.weights
+        done: dict[str, Solved] = {}
         if path and path.is_file():
-            return Blendshapes.load(path, self.model, self.rig.weights)
-        targets = expression_targets(self.model, self.basis)
-        found = solve_blendshapes(
-            self.rig.face(fastest()), targets, {}, lambda name, _: log.info("%s", name)
-        )
-        if path:
-            found.save(path, self.model, self.rig.weights)
-        return found
+            done.update(Blendshapes.load(path, model, S).shapes)
+
+        def keep(name: str, solved: Solved) -> None:
+            done[name] = solved
+            log.info("%s: %.3f mm", name, solved.mean_mm)
+            if path:
+                Blendshapes(model.muscle_names, done, self.rig.drive).save(path, model, S)
+
+        targets = expression_targets(model, self.basis)
+        return solve_blendshapes(self.rig.face(fastest()), targets, dict(done), keep)
 
     def shapes(self) -> Figures:
         """Return how far the shapes are off the template's."""
@@ -219,6 +231,17 @@ class _Bench:
             key: {"mean": np.mean(each), "worst_frame": max(each)} for key, each in off.items()
         }
         return {"played_mm": means, "frames": frames, "learned": bool(options.learned)}
+
+
+def _beginning(basis: ShapeBasis, letters: str) -> ShapeBasis:
+    """Return the shapes of a template whose names by ARKit begin with some ``letters``."""
+    rows = [
+        row
+        for row, name in enumerate(basis.expression_names)
+        if arkit_source(name).startswith(letters)
+    ]
+    names = tuple(basis.expression_names[row] for row in rows)
+    return replace(basis, expression_names=names, expressions=basis.expressions[rows])
 
 
 def section(figures: Figures) -> Section:

@@ -6,8 +6,9 @@ With its Python module (scripts/blender-venv makes one):
         --recording take.csv --rate 60 --fbx rig.fbx
 
 The object ``skin`` has the shapes; eyes, teeth, mouth and lashes follow its values by drivers, and
-so do the shapes ``..._half``. Where ``studio.json``, beside the GLB, has turns for a shape, joints
-are keyed by the recording's weights, too. A recording is a CSV file of Live Link Face.
+so do the shapes ``..._half``. Wrinkles that ``studio.json``, beside the GLB, names are added to the
+skin's normals, driven by its shapes. Where that file has turns for a shape, joints are keyed by the
+recording's weights, too. A recording is a CSV file of Live Link Face.
 """
 
 import argparse
@@ -22,6 +23,7 @@ from mathutils import Matrix, Quaternion, Vector
 
 SKIN = "skin"
 HALF = "_half"
+LEAST_UP = 0.1  # part of a wrinkle's normal along the mesh's
 # Blender's axes by glTF's: y up becomes z up, the face looks along -y
 TO_BLENDER = Matrix(((1, 0, 0, 0), (0, 0, -1, 0), (0, 1, 0, 0), (0, 0, 0, 1)))
 
@@ -46,6 +48,9 @@ def main() -> None:
         if each.type == "MESH" and each.data.shape_keys
     }
     follow(keys)
+    known = json.loads(given.glb.with_name("studio.json").read_text(encoding="utf-8"))
+    if known.get("wrinkles") and objects[SKIN].data.uv_layers:
+        add_wrinkles(objects[SKIN], known["wrinkles"], given.glb.parent)
     if given.recording is not None:
         weights = read_recording(given.recording)
         scene.render.fps = round(given.rate)
@@ -53,7 +58,6 @@ def main() -> None:
         scene.frame_start = 0
         scene.frame_end = max(map(len, weights.values()), default=1) - 1
         play(keys[SKIN], weights)
-        known = json.loads(given.glb.with_name("studio.json").read_text(encoding="utf-8"))
         armature = next(each for each in objects if each.type == "ARMATURE")
         turn(armature, known, weights, scene.frame_end + 1)
     bpy.ops.wm.save_as_mainfile(filepath=str(given.blend))
@@ -87,6 +91,93 @@ def follow(keys: dict) -> None:
             target.data_path = f'key_blocks["{block.name.removesuffix(HALF)}"].value'
             driver.type = "SCRIPTED"
             driver.expression = "4 * w * (1 - w)" if is_half else "w"
+
+
+class Nodes:
+    """Makes nodes of a material whose inputs are sockets or values."""
+
+    def __init__(self, material: bpy.types.Material) -> None:
+        self.tree = material.node_tree
+
+    def of(self, kind: str, *inputs: object, operation: str = "") -> bpy.types.Node:
+        """Return a new node; ``inputs`` are its first ones."""
+        node = self.tree.nodes.new(kind)
+        if operation:
+            node.operation = operation
+        for socket, given in zip(node.inputs, inputs, strict=False):
+            if isinstance(given, bpy.types.NodeSocket):
+                self.tree.links.new(given, socket)
+            else:
+                socket.default_value = given
+        return node
+
+    def number(self, operation: str, *inputs: object) -> bpy.types.NodeSocket:
+        """Return what comes of numbers."""
+        return self.of("ShaderNodeMath", *inputs, operation=operation).outputs[0]
+
+    def slopes(self, colour: bpy.types.NodeSocket) -> list:
+        """Return x / z and y / z of the normal that a map's colour stands for."""
+        parts = self.of("ShaderNodeSeparateColor", colour).outputs
+        x, y, z = (
+            self.number("MULTIPLY_ADD", part, 2.0, -1.0)
+            for part in (parts["Red"], parts["Green"], parts["Blue"])
+        )
+        up = self.number("MAXIMUM", z, LEAST_UP)
+        return [self.number("DIVIDE", x, up), self.number("DIVIDE", y, up)]
+
+
+def add_wrinkles(skin: bpy.types.Object, wrinkles: dict, folder: Path) -> None:
+    """Add wrinkle maps to the normals of a skin, as strong as its shapes' values say.
+
+    Slopes add up: normal = normalize(n.xy / n.z + sum s m e.xy / e.z, 1), m a map's opacity.
+    """
+    material = skin.material_slots[0].material
+    nodes = Nodes(material)
+    tree = nodes.tree
+    bent = next((each for each in tree.nodes if each.type == "NORMAL_MAP"), None)
+    if bent is None:
+        bent = nodes.of("ShaderNodeNormalMap")
+        surface = next(each for each in tree.nodes if each.type == "BSDF_PRINCIPLED")
+        tree.links.new(bent.outputs["Normal"], surface.inputs["Normal"])
+    colour = bent.inputs["Color"]
+    slopes = nodes.slopes(colour.links[0].from_socket) if colour.links else [0.0, 0.0]
+    for name, told in wrinkles.items():
+        image = bpy.data.images.load(str(folder / told["file"]))
+        image.colorspace_settings.name = "Non-Color"
+        image.alpha_mode = "CHANNEL_PACKED"
+        image.pack()
+        read = nodes.of("ShaderNodeTexImage")
+        read.image = image
+        strength = nodes.of("ShaderNodeValue")
+        strength.name = strength.label = name
+        drive(strength.outputs[0], skin.data.shape_keys, told["driven_by"])
+        share = nodes.number("MULTIPLY", strength.outputs[0], read.outputs["Alpha"])
+        own = nodes.slopes(read.outputs["Color"])
+        slopes = [
+            nodes.number("MULTIPLY_ADD", slope, share, before)
+            for slope, before in zip(own, slopes, strict=True)
+        ]
+    normal = nodes.of("ShaderNodeCombineXYZ", *slopes, 1.0).outputs[0]
+    unit = nodes.of("ShaderNodeVectorMath", normal, operation="NORMALIZE").outputs[0]
+    half = (0.5, 0.5, 0.5)
+    mapped = nodes.of("ShaderNodeVectorMath", unit, half, half, operation="MULTIPLY_ADD")
+    tree.links.new(mapped.outputs[0], colour)
+
+
+def drive(socket: bpy.types.NodeSocket, keys: bpy.types.Key, driven_by: dict) -> None:
+    """Drive a value by shapes w: min(max(sum w c, 0) / sum c c, 1)."""
+    driver = socket.driver_add("default_value").driver
+    for number, shape in enumerate(driven_by):
+        variable = driver.variables.new()
+        variable.name = f"w{number}"
+        variable.targets[0].id_type = "KEY"
+        variable.targets[0].id = keys
+        variable.targets[0].data_path = f'key_blocks["{shape}"].value'
+    whole = sum(weight**2 for weight in driven_by.values())
+    # Blender takes 256 characters
+    along = "+".join(f"{weight / whole:.4f}*w{k}" for k, weight in enumerate(driven_by.values()))
+    driver.type = "SCRIPTED"
+    driver.expression = f"min(max({along}, 0), 1)"
 
 
 def read_recording(path: Path) -> dict[str, np.ndarray]:

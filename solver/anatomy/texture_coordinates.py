@@ -117,13 +117,14 @@ class SplitFaces:
 def unwrap(skin: Surface, faces: Ints) -> TextureCoordinates:
     """Return coordinates of some ``faces`` (m,) of a skin that has none, cut into charts.
 
-    Charts are those of xatlas (an extra), which gives the same for the same skin. Raises
-    :class:`InputError` (``texture.coordinates``) where it is not installed.
+    Charts are those of xatlas (the extra ``texture``), which gives the same for the same skin.
+    Raises :class:`InputError` (``texture.coordinates``) where it is not installed.
     """
     try:
         import xatlas  # an extra
     except ModuleNotFoundError:
-        reason = "the template has no texture coordinates; install xatlas, which makes them"
+        reason = "the template has no texture coordinates; xatlas makes them: pip install"
+        reason = f"{reason} 'myoface[texture]'"
         raise InputError("texture.coordinates", reason) from None
     used, own = own_numbers(skin.faces[faces])
     _, corners, places = xatlas.parametrize(

@@ -4,8 +4,9 @@ The target of a shape is the subject's neutral with the template's displacement 
 is that of an expression of a known S. Which of ARKit's weights drives a shape, its name says.
 
 A corrective shape (``mouthClose`` brings the lips of an open jaw together) cannot be had alone:
-its lips would go through each other. It is solved together with the one that it corrects, and is
-what the two have beyond that one.
+its lips would go through each other. It is solved together with the one that it corrects, both half
+way, and is what the two have beyond that one. Lips that met over a jaw as wide open as it goes
+would be stretched further than flesh is.
 """
 
 from __future__ import annotations
@@ -128,6 +129,7 @@ def keep_within(a: Floats, limits: FeasibleSet | None) -> tuple[Floats, int]:
 
 FORMAT = FILES["blendshapes.npz"].format
 STORED = ("activations", "jaw", "mean_mm", "settled")  # its arrays
+CORRECTED_AT = 0.5  # weight of a corrective and of what it corrects, where they are solved
 # mm; a shape that moves no point of the face further is nothing for muscles: a tongue, a pupil
 LEAST_MOTION_MM = 0.05
 NOTHING_KNOWN: Mapping[str, Floats] = MappingProxyType({})
@@ -139,7 +141,7 @@ class Solved:
     """One shape: its ``pose``, and the mean distance of the face to its target, mm.
 
     ``settled`` is false where no equilibrium was found: the pose is that of rest then. A
-    corrective's pose is a difference, added to rest.
+    corrective's pose is a difference, added to rest, and its distance that at ``CORRECTED_AT``.
     """
 
     pose: Pose
@@ -270,6 +272,11 @@ def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[st
     return targets
 
 
+def solved_at(name: str) -> float:
+    """Return the weight at which a shape is solved, and what it corrects with it."""
+    return CORRECTED_AT if name in CORRECTED else 1.0
+
+
 def solve_blendshapes(
     face: Face,
     targets: Mapping[str, Floats],
@@ -285,8 +292,11 @@ def solve_blendshapes(
     :class:`~solver.fitting.expression_basis.ExpressionBasis`, else at rest. A shape that does not
     come to rest stays at rest.
     """
+    neutral = face.model.skin.vertices[face.model.face]
     missing = {
-        name: Target.from_points(points) for name, points in targets.items() if name not in done
+        name: Target.from_points(neutral + solved_at(name) * (points - neutral))
+        for name, points in targets.items()
+        if name not in done
     }
     found = dict(done)
     if missing:
@@ -307,9 +317,10 @@ def solve_blendshapes(
             pose = Pose(state.pose.a, face.five_jaw_numbers(state.pose.b))
             corrected = found.get(CORRECTED.get(name, ""))
             if corrected is not None:
+                whole = (pose.a - IDENTITY) / solved_at(name)
                 a = corrected.pose.a
                 b = corrected.pose.b
-                pose = Pose(IDENTITY + pose.a - a, pose.b - b)
+                pose = Pose(2.0 * IDENTITY + whole - a, pose.b / solved_at(name) - b)
             found[name] = Solved(pose, float(off.mean()), settled)
             listen(name, found[name])
     shapes = {name: found[name] for name in targets}
@@ -322,5 +333,5 @@ def _start(
     """Return where the fit of a shape begins; None: at rest. A corrective has the corrected's."""
     if name not in known:
         return None
-    change = known[name] + known.get(CORRECTED.get(name, ""), 0.0)
+    change = solved_at(name) * (known[name] + known.get(CORRECTED.get(name, ""), 0.0))
     return begin_at(face, change, lambda state: objective(data, regulariser, state))

@@ -20,10 +20,11 @@ from solver.model import SubjectModel
 from solver.progress import Step
 from solver.registration.texture import texture_coordinates
 from solver.rig import Rig
-from solver.rig.studio.glb import compare_glb, write_glb
+from solver.rig.studio.glb import compare_glb, worn_images, write_glb
 from solver.rig.studio.levels import carry_texture, distance_mm, simplify
 from solver.rig.studio.lids import Lids
 from solver.rig.studio.light_rig import LightRig
+from solver.rig.studio.parts import parts_of
 from solver.rig.studio.shapes import FleshShapes, StudioShapes, solve_studio_shapes
 from solver.rig.studio.skin_texture import SkinTexture
 from solver.rig.studio.wrinkle_maps import read_wrinkle_maps
@@ -116,7 +117,7 @@ def _write_usd(
 ) -> dict[Path, dict[str, Any]]:
     """Write the rig as USD where the extra is there; return what is told of the files.
 
-    The skin's images lie beside it.
+    The images of skin and eyes lie beside it.
     """
     try:
         from solver.rig.studio.usd import compare_usd, write_usd  # an extra
@@ -125,7 +126,7 @@ def _write_usd(
     coordinates = texture.coordinates if texture else None
     write_usd(light, file, texture)
     told = {file: {**compare_usd(light, file, coordinates), "bytes": file.stat().st_size}}
-    for name, content in (texture.files if texture else {}).items():
+    for name, content in worn_images(parts_of(light.neutral, light.skeleton), texture).items():
         image = file.with_name(name)
         image.write_bytes(content)
         told[image] = {"bytes": len(content)}

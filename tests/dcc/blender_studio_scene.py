@@ -22,11 +22,18 @@ def main() -> None:
     meshes = [each for each in bpy.data.objects if each.type == "MESH"]
     skin = next(each for each in meshes if each.name == "skin")
     arrays = {}
+    strengths = []  # of the skin's wrinkles, a frame each
     for number, frame in enumerate(map(int, sys.argv[3:])):
         scene.frame_set(frame)
         arrays[f"frame_{number}"] = evaluated(skin)
+        nodes = skin.material_slots[0].material.node_tree.nodes
+        values = {
+            each.name: each.outputs[0].default_value for each in nodes if each.type == "VALUE"
+        }
+        strengths.append(values)
     known = {
         "bones": sorted(bone.name for each in bpy.data.armatures for bone in each.bones),
+        "strengths": strengths,
         "keys": [key.name for key in skin.data.shape_keys.key_blocks[1:]],
     }
     np.savez(sys.argv[2], known=json.dumps(known), **arrays)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from solver.anatomy.texture_coordinates import TextureCoordinates
 from solver.rig.frames.gltf import DEFAULTS, GENERATOR, material_of, textured_material
 from solver.rig.frames.gltf_buffer import METRES, Buffer
 from solver.rig.frames.read_back import Comparison, accessor_values, split_glb
+from solver.rig.studio.eyes import EYE_COLOURS, eye_image
 from solver.rig.studio.light_rig import LightRig
 from solver.rig.studio.parts import TEXTURED, Part, parts_of
 from solver.rig.studio.skin_texture import COLOURS, NORMALS, SkinTexture
@@ -48,24 +49,36 @@ def write_glb(rig: LightRig, path: Path, texture: SkinTexture | None = None) -> 
         accessors=buffer.accessors,
         bufferViews=buffer.views,
     )
-    if texture is not None and texture.files:
-        _wear(document, buffer, texture)
+    _wear(document, buffer, worn_images(parts, texture))
     document.buffers = [gl.Buffer(byteLength=len(buffer.content))]
     document.set_binary_blob(bytes(buffer.content))
     document.save_binary(str(path))
 
 
-def _wear(document: gl.GLTF2, buffer: Buffer, texture: SkinTexture) -> None:
-    """Put the skin's images into a document, and on its material."""
-    numbers = {name: number for number, name in enumerate(texture.files)}
+def worn_images(parts: Sequence[Part], texture: SkinTexture | None) -> dict[str, bytes]:
+    """Return the PNGs that a rig's parts wear, by their files' names: the skin's, and the eyes'."""
+    images = dict(texture.files) if texture else {}
+    if any(part.material == "eyes" and part.places is not None for part in parts):
+        images[EYE_COLOURS] = eye_image()
+    return images
+
+
+def _wear(document: gl.GLTF2, buffer: Buffer, images: Mapping[str, bytes]) -> None:
+    """Put images into a document, and on the materials of skin and eyes."""
+    if not images:
+        return
+    numbers = {name: number for number, name in enumerate(images)}
     document.images = [
         gl.Image(name=Path(name).stem, mimeType="image/png", bufferView=buffer.image(content))
-        for name, content in texture.files.items()
+        for name, content in images.items()
     ]
     document.samplers = [gl.Sampler(magFilter=gl.LINEAR, minFilter=gl.LINEAR_MIPMAP_LINEAR)]
     document.textures = [gl.Texture(source=number, sampler=0) for number in numbers.values()]
-    worn = textured_material(TEXTURED, numbers.get(COLOURS), numbers.get(NORMALS))
-    document.materials = [worn if each.name == TEXTURED else each for each in document.materials]
+    worn = {
+        TEXTURED: textured_material(TEXTURED, numbers.get(COLOURS), numbers.get(NORMALS)),
+        "eyes": textured_material("eyes", numbers.get(EYE_COLOURS), None),
+    }
+    document.materials = [worn.get(each.name, each) for each in document.materials]
 
 
 class _Meshes:
@@ -102,7 +115,7 @@ class _Meshes:
         if part.places is not None:  # glTF's rows count from the upper edge
             turned = np.column_stack([part.places[:, 0], 1.0 - part.places[:, 1]])
             places = buffer.dense(turned, gl.VEC2, gl.ARRAY_BUFFER)
-            if self._has_normals:
+            if self._has_normals and part.name == TEXTURED:
                 rest = self._points[used], self._rig.normals[used]
                 found = vertex_tangents(*rest, part.places, part.faces)
                 tangents = buffer.dense(found, gl.VEC4, gl.ARRAY_BUFFER)

@@ -9,10 +9,11 @@ import numpy as np
 
 from solver.anatomy.texture_coordinates import TextureCoordinates
 from solver.drawing.head import skin_parts
+from solver.rig.studio.eyes import eye_places
 from solver.rig.studio.skeleton import EYES, Skeleton
 from solver.surface import Floats, Ints, Surface, own_numbers
 
-TEXTURED = "skin"  # the part that an image of colours lies on
+TEXTURED = "skin"  # the part that a person's images lie on
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +24,7 @@ class Part:
     material: str
     vertices: Ints  # one at a seam of the texture is there once for each of its places
     faces: Ints
-    places: Floats | None = None  # (k, 2) in an image of colours, from its lower left corner
+    places: Floats | None = None  # (k, 2) in its images, from their lower left corner
 
     def moving(self, targets: Mapping[str, Floats], still_mm: float) -> list[str]:
         """Return the names of the ``targets`` (V, 3) that move it further than ``still_mm``."""
@@ -37,9 +38,9 @@ class Part:
 def parts_of(
     skin: Surface, skeleton: Skeleton, texture: TextureCoordinates | None = None
 ) -> list[Part]:
-    """Return the parts of a head; eyes with a joint each are two.
+    """Return the parts of a head; eyes with a joint each are two, with places in an eye's image.
 
-    With ``texture``, the skin has places in an image.
+    With ``texture``, the skin has places in its images.
     """
     found = []
     for material, numbers in skin_parts(skin).items():
@@ -53,5 +54,6 @@ def parts_of(
                 found.append(Part(name, material, cut.vertices, cut.faces, cut.places))
             elif len(faces):
                 used, own = own_numbers(skin.faces[faces])
-                found.append(Part(name, material, used, own))
+                places = eye_places(skin.vertices[used]) if name in EYES else None
+                found.append(Part(name, material, used, own, places))
     return found

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from solver.anatomy.template import CORRECTED, ShapeBasis
 from solver.animation import Gaze, PosedFrame, RecordedDrives
-from solver.animation.blendshapes import DrivenShapes, driven_motions
+from solver.animation.blendshapes import DrivenShapes, driven_motions, solved_at
 from solver.errors import SolveError
 from solver.kinds.scene import SimulateScene
 from solver.mechanics.boundary import JAW_FREEDOM
@@ -93,7 +93,7 @@ def solve_studio_shapes(
     basis: ShapeBasis,
     listen: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> StudioShapes:
-    """Play every shape of ARKit that the template has, alone and whole.
+    """Play every shape of ARKit that the template has, alone and whole, a corrective half way.
 
     ``basis`` are the template's shapes. What muscles do not move, such as a tongue, moves as the
     template has it, and so does what they leave of lids. ``listen`` gets the shapes that are done,
@@ -113,20 +113,22 @@ def solve_studio_shapes(
     lids = Lids.of(model)
     for row, name in enumerate(names):
         under = CORRECTED.get(name, name)
-        wanted = neutral + sculpted[name] + (sculpted[under] if under != name else 0.0)
+        share = solved_at(name)
+        both = sculpted[name] + (sculpted[under] if under != name else 0.0)
+        wanted = neutral + share * both
         skin = wanted
         if name in made:
             try:
-                played = flesh.play({name: 1.0, under: 1.0})
+                played = flesh.play({name: share, under: share})
                 skin = gaze.turn(played.skin, eyes[row])
-                jaws[row] = played.jaw
+                jaws[row] = played.jaw / share
             except SolveError:
                 unsettled.append(name)
         for each in lids:
             if each.moves(name):
                 skin = each.finish(skin, wanted)
-        motions[row] = skin - neutral
-        off[row] = np.linalg.norm((skin - wanted)[model.face], axis=1).mean()
+        motions[row] = (skin - neutral) / share
+        off[row] = np.linalg.norm((skin - wanted)[model.face], axis=1).mean() / share
         listen(row + 1, len(names))
     for name, under in CORRECTED.items():
         if name in names and under in names:

@@ -6,6 +6,7 @@ Lengths are mm (``metersPerUnit`` 0.001), y up. ``/Face`` is a SkelRoot with a m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,10 @@ from solver.rig.frames.usd import (
     new_stage,
     numbers,
 )
+from solver.rig.studio.eyes import EYE_COLOURS
 from solver.rig.studio.glb import MOST_JOINTS, influences
 from solver.rig.studio.light_rig import LightRig
-from solver.rig.studio.parts import Part, parts_of
+from solver.rig.studio.parts import TEXTURED, Part, parts_of
 from solver.rig.studio.skin_texture import COLOURS, NORMALS, SkinTexture
 from solver.surface import Floats, Ints
 
@@ -35,7 +37,8 @@ from solver.surface import Floats, Ints
 def write_usd(rig: LightRig, path: Path, texture: SkinTexture | None = None) -> None:
     """Write a rig at rest; a part has the blend shapes that move it.
 
-    The skin wears the images of ``texture`` that lie beside the file.
+    Skin and eyes wear images that lie beside the file
+    (:func:`~solver.rig.studio.glb.worn_images`).
     """
     stage, root = new_stage()
     root.CreateExtentAttr(extent(rig.neutral.vertices))
@@ -44,8 +47,11 @@ def write_usd(rig: LightRig, path: Path, texture: SkinTexture | None = None) -> 
     UsdGeom.Scope.Define(stage, ROOT.AppendChild("Materials"))
     for part in parts_of(rig.neutral, rig.skeleton, texture.coordinates if texture else None):
         mesh = _mesh(stage, part, rig)
-        if texture is not None and part.places is not None:
-            _wear(stage, mesh, part.places, texture)
+        if part.places is not None and part.name == TEXTURED:
+            files = texture.files if texture else {}
+            _wear(stage, mesh, part.places, [name for name in (COLOURS, NORMALS) if name in files])
+        elif part.places is not None:
+            _wear(stage, mesh, part.places, [EYE_COLOURS])
         _bind(mesh, joints[part.vertices], weights[part.vertices])
         used = part.vertices
         moved = part.moving(rig.targets, DEFAULTS.still_mm)
@@ -97,8 +103,8 @@ def _mesh(stage: Usd.Stage, part: Part, rig: LightRig) -> UsdGeom.Mesh:
     return mesh
 
 
-def _wear(stage: Usd.Stage, mesh: UsdGeom.Mesh, places: Floats, texture: SkinTexture) -> None:
-    """Give a mesh places (k, 2) in images, and its material the images of a skin."""
+def _wear(stage: Usd.Stage, mesh: UsdGeom.Mesh, places: Floats, files: Sequence[str]) -> None:
+    """Give a mesh places (k, 2) in images, and its material the images in ``files``."""
     primvars = UsdGeom.PrimvarsAPI(mesh)
     coordinates = primvars.CreatePrimvar(
         "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
@@ -110,11 +116,11 @@ def _wear(stage: Usd.Stage, mesh: UsdGeom.Mesh, places: Floats, texture: SkinTex
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
     found = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
     surface = UsdShade.Shader.Get(stage, material.GetPath().AppendChild("Surface"))
-    if texture.colours is not None:
-        colours = _image(stage, material.GetPath().AppendChild("BaseColour"), COLOURS, found)
+    for file in set(files) - {NORMALS}:
+        colours = _image(stage, material.GetPath().AppendChild("BaseColour"), file, found)
         colours.GetInput("sourceColorSpace").Set("sRGB")
         surface.GetInput("diffuseColor").ConnectToSource(colours.GetOutput("rgb"))
-    if texture.normals is not None:
+    if NORMALS in files:
         normals = _image(stage, material.GetPath().AppendChild("Normals"), NORMALS, found)
         normals.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(2, 2, 2, 1))
         normals.CreateInput("bias", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(-1, -1, -1, 0))

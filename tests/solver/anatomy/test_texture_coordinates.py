@@ -48,6 +48,6 @@ def test_a_bare_skin_is_unwrapped_the_same_every_time() -> None:
 
 def test_without_xatlas_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "xatlas", None)
-    with pytest.raises(InputError, match="install xatlas") as caught:
+    with pytest.raises(InputError, match="xatlas") as caught:
         unwrap(Surface(np.eye(3), np.array([[0, 1, 2]])), np.array([0]))
     assert caught.value.code == "texture.coordinates"

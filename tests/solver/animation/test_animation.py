@@ -298,7 +298,7 @@ def opened_block() -> tuple[Face, dict[str, np.ndarray]]:
 
 
 def test_shapes_begin_with_what_is_known_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A corrective begins with the shape that it corrects, and both end where they did."""
+    """A corrective begins half way with the shape it corrects, and both end where they did."""
     face, known = opened_block()
     poses = {
         "jawOpen": face.rest_pose().add(known["jawOpen"]),
@@ -318,7 +318,8 @@ def test_shapes_begin_with_what_is_known_of_them(monkeypatch: pytest.MonkeyPatch
     cold = solve_blendshapes(face, targets, {}, lambda _name, _solved: None)
     monkeypatch.setattr(activation, "fit", fit)
     warm = solve_blendshapes(face, targets, {}, lambda _name, _solved: None, known)
-    for state, there in zip(begun, poses.values(), strict=True):
+    half = face.rest_pose().add(0.5 * (known["jawOpen"] + known["mouthClose"]))
+    for state, there in zip(begun, (poses["jawOpen"], half), strict=True):
         np.testing.assert_allclose(state.pose.vector(), there.vector(), atol=1e-12)
     for name, shape in warm.shapes.items():
         assert shape.mean_mm < cold.shapes[name].mean_mm + 0.01
@@ -326,6 +327,7 @@ def test_shapes_begin_with_what_is_known_of_them(monkeypatch: pytest.MonkeyPatch
     limits = face.layout.bounds.feasible
     assert limits is not None
     assert limits.contains(warm.shapes["jawOpen"].pose.a)
+    assert warm.shapes["mouthClose"].pose.b[0] == pytest.approx(-0.1, abs=0.02)  # at weight 1
 
 
 def test_shapes_of_a_rig_within_limits_are_within_them(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import { film, picture } from "./files.js";
 import { rigFindings, verdictOf } from "./certificate.js";
 import { findingList, judgedLines } from "./findings.js";
 import { askForJob } from "./new_job.js";
+import { studioPlace } from "../studio/place.js";
 import { verdictState } from "./state.js";
 
 /** What the pictures of each kind show. */
@@ -22,7 +23,11 @@ const PICTURES = {
   "animation.png": "Moments of the animation",
   "neck.png": "Head and neck with bones and muscles",
   "edit.png": "The person before and after the edits",
+  "studio.png": "Some shapes of the rig",
 };
+
+/** Images that a rig wears: shown on it. */
+const WORN = /^studio_.*\.png$/;
 
 /** Return a panel for a job that succeeded; null for one that has nothing to show. */
 export function resultPanel(job, signal) {
@@ -31,7 +36,7 @@ export function resultPanel(job, signal) {
   const has = (file) => artifacts.some(({ name }) => name === file);
   const isPlaced = job.kind === "check_markers" && job.rig_id && has("markers.json");
   const films = artifacts.filter(({ media_type: type }) => type.startsWith("video/"));
-  const pictures = artifacts.filter(({ media_type: type }) => type === "image/png");
+  const pictures = artifacts.filter(({ media_type: type }) => type === "image/png").filter(({ name }) => !WORN.test(name));
   const figures = [
     ...Object.entries(summary?.figures ?? summary ?? {}),
     ...Object.entries(summary?.all_markers ?? {}).map(([name, value]) => [`all markers, ${name}`, value]),
@@ -48,6 +53,7 @@ export function resultPanel(job, signal) {
     isPlaced && h("p", {}, h("a", { class: "button", href: `/markers/${job.id}` }, "Place the markers"), " ", goOn("Fit the take", () => fitTake(job))),
     has("sequence.npz") && h("p", {}, playOnRig(job), " ", goOn("Play it in a scene", () => playInScene(job))),
     has("animation.glb") && h("p", {}, playOnRig(job)),
+    studioPlace(job, signal),
     films.map((artifact) => film(artifact, signal)),
     pictures.map((artifact) => picture(artifact, PICTURES[artifact.name] ?? artifact.name, signal)),
     figures.length > 0 &&
