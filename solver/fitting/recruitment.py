@@ -126,6 +126,8 @@ class Recruitment:
         shapes = face.model.expressions
         if shapes is None or face.layout.drive.penalty is None:
             return None
+        if not any(any(find_called(model.muscle_names, name)[0]) for name in shapes.names):
+            return None
         chosen = options or usual_options(model)
         unshown = predict_units(face)
         names = (*shapes.names, *unshown.names)
@@ -134,8 +136,6 @@ class Recruitment:
         named, opposed = np.array(
             [find_called(model.muscle_names, name) for name in names]
         ).swapaxes(0, 1)
-        if not named.any():
-            return None
         tensors = fibre_tensors(model, face.flesh.volumes, face.S)
         rest = model.skin.vertices[model.face]
         mirrored = _mirror_numbers(names)
