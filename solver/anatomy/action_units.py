@@ -8,13 +8,13 @@ ARKit's shapes and of plain words.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
 from solver.anatomy.data import read_table, split_cell
-from solver.drawing.head import both_sides
+from solver.drawing.head import both_sides, muscle_side
 
 SIDES = ("left", "right")
 
@@ -116,6 +116,26 @@ def is_one_of(name: str, muscles: Iterable[str]) -> bool:
             if named == whole and (not part or not of_whole or part in of_whole):
                 return True
     return False
+
+
+@cache
+def find_called(muscles: tuple[str, ...], expression: str) -> tuple[list[bool], list[bool]]:
+    """Tell of ``muscles`` whether a unit of an expression names them, or as antagonists.
+
+    A unit is made on its side, by muscles of that side and of the middle.
+    """
+
+    def are_of(chosen: Callable[[ActionUnit], tuple[str, ...]]) -> list[bool]:
+        called = [(chosen(unit), side) for unit, side in actions_of(expression)]
+        return [
+            any(
+                muscle_side(name.partition(".")[0]) in (side, "") and is_one_of(name, of)
+                for of, side in called
+            )
+            for name in muscles
+        ]
+
+    return are_of(lambda unit: unit.muscles), are_of(lambda unit: unit.antagonists)
 
 
 @cache

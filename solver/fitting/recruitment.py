@@ -8,8 +8,12 @@ is about a sum of them,
 
     t ~ rest + sum_e u_e motion_e,    u_e >= 0,
 
-and calls for muscle j by c_j, the greatest u_e / ``called`` of those that name it, 1 at most; d_j
-is the same of those whose units it works against. In its fit
+by least squares. A unit that none of them shows has the motion that flesh makes of it
+(:mod:`solver.fitting.predicted_units`), for lack of a better one: it costs ``hurdle`` |l|
+|motion_e| u_e, l being what the expressions leave, so that it takes part if its cosine to that is
+greater than ``hurdle``, and has none where they explain the scan. A scan calls for muscle j by c_j,
+the greatest u_e / ``called`` of those that name it, 1 at most; d_j is the same of those whose units
+it works against. In its fit
 
     w_a/2 price_j^r |a_j - m_j|^2,    price_j = price opposed^(d_j (1 - c_j)),
 
@@ -38,9 +42,8 @@ What closes the jaw is silent while it is open, whatever a scan calls for
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
 
 import numpy as np
 import scipy.linalg
@@ -48,11 +51,11 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from typing_extensions import override
 
-from solver.anatomy.action_units import ActionUnit, actions_of, is_one_of
-from solver.drawing.head import muscle_side
+from solver.anatomy.action_units import find_called
 from solver.fitting.face import Face, Pose
 from solver.fitting.jaw_closers import CloserOptions, SilentClosers
 from solver.fitting.objective import Prior, Regulariser, SquaredPrior, Target
+from solver.fitting.predicted_units import predict_units
 from solver.fitting.simplex import mirrored_pairs
 from solver.fitting.stretches import fibre_tensors, isochoric_activation
 from solver.mechanics.flesh import IDENTITY
@@ -71,6 +74,8 @@ class RecruitmentOptions:
     even: float = 20.0  # by which what both sides do otherwise costs more than w_a
     effort: float = 0.0  # slope of the price of contraction that nobody calls for, by w_a
     small: float = 0.02  # contraction below which that price is quadratic
+    # cosine to what expressions leave, from which a unit that none of them shows takes part
+    hurdle: float = 0.05
     closers: CloserOptions = field(
         default_factory=CloserOptions
     )  # what closes the jaw, while it is open
@@ -88,13 +93,14 @@ def usual_options(model: SubjectModel) -> RecruitmentOptions:
 
 @dataclass(frozen=True, eq=False)
 class Recruitment:
-    """Who makes the template's expressions on a person.
+    """Who makes the template's expressions on a person, and units that none of them shows.
 
     ``motions`` (e, k, 3) are those of the face's points, mm, off ``rest`` (k, 3). ``named`` (e, m)
     tells whether a unit of an expression names a muscle, on its side, and ``opposed`` (e, m)
     whether it is an antagonist of one. ``tensors`` (m, 3, 3) are the means of d d^T
     along the muscles' fibres d, NaN where there are none. ``mirrored`` (e,) are the numbers of the
     same expressions on the other side, their own in the middle and -1 where there is none.
+    ``hurdles`` (e,) are what amounts cost, by the sizes of motions: 0 of expressions.
     """
 
     motions: NDArray[np.floating]
@@ -103,6 +109,7 @@ class Recruitment:
     rest: Floats
     tensors: Floats
     mirrored: Ints
+    hurdles: Floats
     sides: EvenSides
     effort: Effort
     closers: SilentClosers
@@ -119,20 +126,24 @@ class Recruitment:
         shapes = face.model.expressions
         if shapes is None or face.layout.drive.penalty is None:
             return None
-        named, opposed = np.array(
-            [find_called(model.muscle_names, name) for name in shapes.names]
-        ).swapaxes(0, 1)
-        if not named.any():
+        if not any(any(find_called(model.muscle_names, name)[0]) for name in shapes.names):
             return None
+        chosen = options or usual_options(model)
+        unshown = predict_units(face)
+        names = (*shapes.names, *unshown.names)
+        motions = np.concatenate([shapes.motions, unshown.motions])
+        hurdles = np.repeat([0.0, chosen.hurdle], [len(shapes.names), len(unshown.names)])
+        named, opposed = np.array(
+            [find_called(model.muscle_names, name) for name in names]
+        ).swapaxes(0, 1)
         tensors = fibre_tensors(model, face.flesh.volumes, face.S)
         rest = model.skin.vertices[model.face]
-        mirrored = _mirror_numbers(shapes.names)
+        mirrored = _mirror_numbers(names)
         sides = EvenSides.of_face(face)
-        chosen = options or usual_options(model)
         effort = Effort.of_face(face, chosen.small)
         closers = SilentClosers.of_face(face, chosen.closers)
-        expected = named, opposed, rest, tensors, mirrored, sides, effort, closers
-        return cls(shapes.motions, *expected, chosen)
+        expected = named, opposed, rest, tensors, mirrored, hurdles, sides, effort, closers
+        return cls(motions, *expected, chosen)
 
     def of_target(self, target: Target) -> Recruited:
         """Return what a target calls for."""
@@ -176,12 +187,14 @@ class Recruitment:
         whole = float(motion @ motion)
         if whole == 0.0:
             return np.zeros(len(rows)), 0.0
-        square = rows @ rows.T
-        # expressions that are sums of others, or are not seen, are left where they are
-        root = np.linalg.cholesky(square + 1e-9 * np.trace(square) * np.eye(len(rows)))
-        goal = scipy.linalg.solve_triangular(root, rows @ motion, lower=True)
-        amounts, _ = nnls(root.T, goal)
+        shown = self.hurdles == 0.0
+        amounts = np.zeros(len(rows))
+        amounts[shown] = _least_amounts(rows[shown], motion)
         left = motion - amounts @ rows
+        if not shown.all():
+            sizes = np.linalg.norm(left) * np.linalg.norm(rows, axis=1)
+            amounts = _least_amounts(rows, motion, self.hurdles * sizes)
+            left = motion - amounts @ rows
         return amounts, max(1.0 - float(left @ left) / whole, 0.0)
 
 
@@ -310,6 +323,15 @@ class EvenSides(SquaredPrior):
         return np.asarray(q[self.left] - self.signs * q[self.right])
 
 
+def _least_amounts(rows: Floats, motion: Floats, cost: Floats | float = 0.0) -> Floats:
+    """Return the u (e,) >= 0 with the least |motion - u rows|^2 / 2 + cost . u."""
+    square = rows @ rows.T
+    # rows that are sums of others, or are not seen, are left where they are
+    root = np.linalg.cholesky(square + 1e-9 * np.trace(square) * np.eye(len(rows)))
+    goal = scipy.linalg.solve_triangular(root, rows @ motion - cost, lower=True)
+    return np.asarray(nnls(root.T, goal)[0])
+
+
 def _mirror_numbers(expressions: tuple[str, ...]) -> Ints:
     """Return the numbers of the expressions on the other side, -1 where there is none."""
     numbers = {name: number for number, name in enumerate(expressions)}
@@ -322,26 +344,6 @@ def _mirror_numbers(expressions: tuple[str, ...]) -> Ints:
         return name
 
     return np.array([numbers.get(other(name), -1) for name in expressions])
-
-
-@cache
-def find_called(muscles: tuple[str, ...], expression: str) -> tuple[list[bool], list[bool]]:
-    """Tell of ``muscles`` whether a unit of an expression names them, or as antagonists.
-
-    A unit is made on its side, by muscles of that side and of the middle.
-    """
-
-    def are_of(chosen: Callable[[ActionUnit], tuple[str, ...]]) -> list[bool]:
-        called = [(chosen(unit), side) for unit, side in actions_of(expression)]
-        return [
-            any(
-                muscle_side(name.partition(".")[0]) in (side, "") and is_one_of(name, of)
-                for of, side in called
-            )
-            for name in muscles
-        ]
-
-    return are_of(lambda unit: unit.muscles), are_of(lambda unit: unit.antagonists)
 
 
 def recruit(

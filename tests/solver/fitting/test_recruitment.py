@@ -57,7 +57,9 @@ def test_amounts_of_expressions_are_found_again(face, along_normals):
     unseen = np.where(np.arange(count) % 3 == 0, 0.0, target.weights)
     recruitment = Recruitment.of_face(face)
     amounts, explained = recruitment.amounts(replace(target, weights=unseen / unseen.sum()))
-    np.testing.assert_allclose(amounts, [0.6, 0.0, 0.3], atol=1e-4)
+    # and none of what units would do that no expression shows
+    np.testing.assert_allclose(amounts[:3], [0.6, 0.0, 0.3], atol=1e-4)
+    np.testing.assert_allclose(amounts[3:], 0.0, atol=1e-4)
     assert explained == pytest.approx(1.0, abs=1e-6)
 
 
@@ -88,7 +90,7 @@ def test_what_no_expression_explains_anybody_may_make(face):
     rest = face.model.skin.vertices[face.model.face]
     across = Target.from_points(rest + [[0.0, -0.7, 0.5]] * rest.shape[0])
     recruitment = Recruitment.of_face(face)
-    assert recruitment.of_target(across).price.max() < 2.0
+    assert recruitment.of_target(across).price.max() < 0.1 * recruitment.options.price
     still = recruitment.of_target(Target.from_points(rest))
     assert still.price.max() == 1.0
     np.testing.assert_array_equal(still.mean, face.rest_pose().a)
