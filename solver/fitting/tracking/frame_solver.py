@@ -37,16 +37,16 @@ from solver.surface import Floats
 class TrackingOptions:
     """The steps of a frame, and when what lags is made anew."""
 
-    # SQP steps at most (a frame that takes them all would like new sensitivities), and the part
-    # of f that a step has to promise
-    stop: StopOptions = field(default_factory=lambda: StopOptions(3, promised=2e-3))
+    # SQP steps at most, and the part of f that a step has to promise
+    stop: StopOptions = field(default_factory=lambda: StopOptions(2, promised=2e-3))
     least_ratio: float = 0.2  # of a gain to the promised one, below which the frame's steps end
     damping: DampingOptions = field(
         default_factory=lambda: DampingOptions(1e-3, least=1e-4, most=1.0, good=0.7, bad=0.4)
     )
-    # age in frames before which a frame that takes all its steps gets no new sensitivities: where
-    # flesh buckles these help little
+    # age in frames before which a frame whose steps gain less than they promise gets no new
+    # sensitivities: where flesh buckles these help little ...
     lagged_frames: int = 15
+    stale_frames: int = 90  # ... and one that takes all its steps gets none
     corrector: CorrectorOptions = field(default_factory=CorrectorOptions)
     steps: FeasibleStepOptions = field(default_factory=FeasibleStepOptions.quick)  # within bounds
     # effort of a frame that is fitted as any expression is
@@ -131,12 +131,14 @@ class FrameSolver:
             descent = self._descent
             fitted = activation.fit(*parts, effort, matrix=known, descent=descent)
             found = LeastSquaresSolution(fitted.state, fitted.objective, fitted.iterations, stop)
-            self._age = options.lagged_frames
+            self._age = options.stale_frames
         self.state = found.point
         self._value = found.value
         self._age += 1
-        if found.termination != Termination.CONVERGED and self._age >= options.lagged_frames:
-            self.relinearise(data, weights)
+        if found.termination != Termination.CONVERGED:
+            all_taken = found.termination == Termination.ITERATIONS
+            if self._age >= (options.stale_frames if all_taken else options.lagged_frames):
+                self.relinearise(data, weights)
         return found.steps
 
     @property
