@@ -60,6 +60,7 @@ def main() -> None:
     subjects.add_options(parser)
     subjects.add_controls(parser)
     parser.add_argument("--recording", type=Path, help="Live Link Face recording")
+    parser.add_argument("--builtin", action="store_true", help="the built-in person, data or not")
     parser.add_argument("--rig", type=Path, help="the subject's rig; else it is fitted first")
     parser.add_argument("--learned", type=Path, help="controls.npz of the rig")
     parser.add_argument("--folder", type=Path, help="of what is made of the rig")
@@ -73,6 +74,8 @@ def main() -> None:
     report.add_list(parser, "--parts", PARTS)
     subjects.default_to_data(parser)
     options = parser.parse_args()
+    if options.builtin:
+        options.faces = options.anatomy = None
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
     report.finish(run(options), options, section)
 

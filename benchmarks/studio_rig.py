@@ -37,7 +37,7 @@ from benchmarks.documents import Figures, Section, Table
 from benchmarks.muscle_actions import has_lids, lid_gap
 from benchmarks.texture_views import measure
 from myoface.demo.outcome import khronos_validation
-from solver.anatomy.template import ShapeBasis
+from solver.anatomy.template import CORRECTED, ShapeBasis
 from solver.animation import RecordedDrives
 from solver.animation.blendshapes import (
     Blendshapes,
@@ -234,12 +234,11 @@ class _Bench:
 
 
 def _beginning(basis: ShapeBasis, letters: str) -> ShapeBasis:
-    """Return the shapes of a template whose names by ARKit begin with some ``letters``."""
-    rows = [
-        row
-        for row, name in enumerate(basis.expression_names)
-        if arkit_source(name).startswith(letters)
-    ]
+    """Return a template's shapes that begin with some ``letters``, and what they correct."""
+    sources = [arkit_source(name) for name in basis.expression_names]
+    kept = {name for name in sources if name.startswith(letters)}
+    kept |= {CORRECTED[name] for name in kept & CORRECTED.keys()}
+    rows = [row for row, name in enumerate(sources) if name in kept]
     names = tuple(basis.expression_names[row] for row in rows)
     return replace(basis, expression_names=names, expressions=basis.expressions[rows])
 

@@ -92,8 +92,8 @@ def track(
 
 
 # heads turn about the upper neck
-BELOW_JAW_MM = 40.0  # the middle of the jaw's condyles
-BEHIND_JAW_MM = 20.0  # the same
+BELOW_JAW_MM = 40.0  # that is below the middle of the jaw's condyles ...
+BEHIND_JAW_MM = 20.0  # ... and behind it
 
 
 @dataclass(frozen=True)

@@ -315,12 +315,14 @@ def solve_blendshapes(
                 settled = False
             off = target.distances(face.face_points(state.x))
             pose = Pose(state.pose.a, face.five_jaw_numbers(state.pose.b))
+            change = (pose.a - IDENTITY) / solved_at(name)
+            jaw = pose.b / solved_at(name)
             corrected = found.get(CORRECTED.get(name, ""))
             if corrected is not None:
-                whole = (pose.a - IDENTITY) / solved_at(name)
-                a = corrected.pose.a
-                b = corrected.pose.b
-                pose = Pose(2.0 * IDENTITY + whole - a, pose.b / solved_at(name) - b)
+                change = change - (corrected.pose.a - IDENTITY)
+                jaw = jaw - corrected.pose.b
+            if name in CORRECTED:
+                pose = Pose(IDENTITY + change, jaw)
             found[name] = Solved(pose, float(off.mean()), settled)
             listen(name, found[name])
     shapes = {name: found[name] for name in targets}

@@ -315,9 +315,10 @@ class GaussNewton:
             step = step + length * direction
             curved = curved + length * image
         fraction = 1.0 / max(self._layout.reach(step) / trust, 1.0)
-        step, curved = fraction * step, fraction * (curved - units * step)
-        if not bounds.contains(self._q + step):  # more volume than the ends of a part of a step
-            step = bounds.clip(self._q + step) - self._q
+        part = fraction * step
+        curved = fraction * (curved - units * step)
+        step = bounds.keep(self._q, part)
+        curved += (self.learnt.matrix + self._known) @ (step - part)
         slope = float(self.gradient @ step)
         quadratic = float(step @ curved)
         response = self._sensitivity.response.free_motion(self._sensitivity.pose, step)
@@ -409,6 +410,7 @@ class DenseModel:
         step = within.best(self.gradient)
         # cut as a whole: with its turn cut alone, a jaw would be shifted in its place
         step = step / max(self.layout.reach(step) / trust, 1.0)
+        step = self.layout.bounds.keep(self.q, step)
         image = self.hessian @ step
         slope = float(self.gradient @ step)
         quadratic = float(step @ image)

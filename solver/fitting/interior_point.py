@@ -81,6 +81,13 @@ class Bounds:
         """Tell whether the muscles' entries of q (size,) are inside their set."""
         return self.feasible is None or bool((self.feasible.margins(q[self.muscles]) > 0.0).all())
 
+    def keep(self, q: Floats, step: Floats) -> Floats:
+        """Return a part of a step from q (size,), brought inside.
+
+        Between two admissible ends a muscle may have more volume than at either.
+        """
+        return step if self.contains(q + step) else self.clip(q + step) - q
+
     def clip(self, q: Floats) -> Floats:
         """Return q (size,) within the bounds."""
         out = np.clip(q, self.lower, self.upper) if self.is_box else q

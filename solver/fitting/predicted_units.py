@@ -6,7 +6,8 @@ rest to the contraction of its muscles,
 
     motion = M dx/da (S^-1(contracted) - I),    dx/da = -H^-1 d(grad_x E)/da,
 
-by the volume fractions of anatomy in the place of S, whatever was fitted. Its direction is to be
+S(a) being that of activations a, and the volume fractions of anatomy in the place of the muscle
+geometry that was fitted. Its direction is to be
 trusted, its size is not, as volume fractions do not tell how far a muscle pulls: the motion is
 scaled to that of a usual expression.
 """
@@ -14,6 +15,7 @@ scaled to that of a usual expression.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
 from weakref import WeakKeyDictionary
@@ -28,10 +30,11 @@ from solver.anatomy.action_units import (
     find_called,
     units_of,
 )
+from solver.errors import SolveError
 from solver.fitting.face import Face
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.stretches import fibre_tensors, isochoric_activation
-from solver.mechanics.flesh import IDENTITY
+from solver.mechanics.flesh import IDENTITY, Flesh
 from solver.model import Expressions, SubjectModel
 from solver.surface import Floats
 
@@ -44,19 +47,22 @@ class PredictionOptions:
     full_mm: float = 6.0  # greatest motion of the skin
 
 
-_PREDICTED: WeakKeyDictionary[Face, Expressions] = WeakKeyDictionary()
+_PREDICTED: WeakKeyDictionary[Flesh, Expressions] = WeakKeyDictionary()
 
 
 def predict_units(face: Face) -> Expressions:
     """Return the motions of the units that no expression of a face's model has, by side.
 
-    They are named as ``AU15Left``, and made once for a face: by a factorisation, and a solve each.
+    They are named as ``AU15Left``, and made once for a flesh, whatever S blends its muscles: by a
+    factorisation, and a solve each. There are none where it does not come to rest.
     """
-    if face not in _PREDICTED:
-        found = dict(_motions(face, PredictionOptions()))
+    if face.flesh not in _PREDICTED:
+        found = {}
+        with suppress(SolveError):
+            found = dict(_motions(face, PredictionOptions()))
         motions = np.array(list(found.values()), np.float32).reshape(-1, len(face.model.face), 3)
-        _PREDICTED[face] = Expressions(tuple(found), motions)
-    return _PREDICTED[face]
+        _PREDICTED[face.flesh] = Expressions(tuple(found), motions)
+    return _PREDICTED[face.flesh]
 
 
 def unshown_units(model: SubjectModel) -> list[ActionUnit]:

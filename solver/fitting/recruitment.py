@@ -100,7 +100,8 @@ class Recruitment:
     whether it is an antagonist of one. ``tensors`` (m, 3, 3) are the means of d d^T
     along the muscles' fibres d, NaN where there are none. ``mirrored`` (e,) are the numbers of the
     same expressions on the other side, their own in the middle and -1 where there is none.
-    ``hurdles`` (e,) are what amounts cost, by the sizes of motions: 0 of expressions.
+    ``shown`` (e,) tells which are expressions: amounts of the others, predicted ones, cost
+    ``options.hurdle`` by the sizes of motions.
     """
 
     motions: NDArray[np.floating]
@@ -109,7 +110,7 @@ class Recruitment:
     rest: Floats
     tensors: Floats
     mirrored: Ints
-    hurdles: Floats
+    shown: NDArray[np.bool_]
     sides: EvenSides
     effort: Effort
     closers: SilentClosers
@@ -132,7 +133,7 @@ class Recruitment:
         unshown = predict_units(face)
         names = (*shapes.names, *unshown.names)
         motions = np.concatenate([shapes.motions, unshown.motions])
-        hurdles = np.repeat([0.0, chosen.hurdle], [len(shapes.names), len(unshown.names)])
+        shown = np.arange(len(names)) < len(shapes.names)
         named, opposed = np.array(
             [find_called(model.muscle_names, name) for name in names]
         ).swapaxes(0, 1)
@@ -142,7 +143,7 @@ class Recruitment:
         sides = EvenSides.of_face(face)
         effort = Effort.of_face(face, chosen.small)
         closers = SilentClosers.of_face(face, chosen.closers)
-        expected = named, opposed, rest, tensors, mirrored, hurdles, sides, effort, closers
+        expected = named, opposed, rest, tensors, mirrored, shown, sides, effort, closers
         return cls(motions, *expected, chosen)
 
     def of_target(self, target: Target) -> Recruited:
@@ -187,13 +188,14 @@ class Recruitment:
         whole = float(motion @ motion)
         if whole == 0.0:
             return np.zeros(len(rows)), 0.0
-        shown = self.hurdles == 0.0
+        shown = self.shown
         amounts = np.zeros(len(rows))
         amounts[shown] = _least_amounts(rows[shown], motion)
         left = motion - amounts @ rows
         if not shown.all():
             sizes = np.linalg.norm(left) * np.linalg.norm(rows, axis=1)
-            amounts = _least_amounts(rows, motion, self.hurdles * sizes)
+            hurdles = np.where(shown, 0.0, self.options.hurdle)
+            amounts = _least_amounts(rows, motion, hurdles * sizes)
             left = motion - amounts @ rows
         return amounts, max(1.0 - float(left @ left) / whole, 0.0)
 

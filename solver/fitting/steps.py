@@ -45,16 +45,16 @@ class LinearisedOptions:
     broken: float = 1e-9  # margin below 0 from which a linear bound counts as broken ...
     outside: float = 1e-5  # ... and the bound itself, which is cut off then
     ridge: float = 1e-8  # relative, as the bounds of a muscle may depend on each other
-    parts: tuple[float, ...] = (1.0, 0.5, 0.25)  # of a step that are brought inside ...
-    worth: float = 0.3  # ... with a part of its gain, or there is none
-    kept: float = 1.02  # part of the margins that clipping leaves which a step leaves
+    clearance: float = 1.02  # distance to bounds that a step keeps, by that which clipping keeps
+    parts: tuple[float, ...] = (1.0, 0.5, 0.25)  # of a step, tried one after the other ...
+    worth: float = 0.3  # ... until one keeps such a part of its gain, brought inside
 
 
 @dataclass(frozen=True)
 class FeasibleStepOptions:
     """The methods within a set: the first that has a step."""
 
-    linearised: LinearisedOptions | None = field(default_factory=LinearisedOptions)
+    linearised: LinearisedOptions = field(default_factory=LinearisedOptions)
     interior: InteriorPointOptions = field(default_factory=InteriorPointOptions)
 
     @classmethod
@@ -156,10 +156,8 @@ class SetSteps(StepModel):
         return partial(_solve, _factorise(self.hessian + ahead.curvature))
 
     def _linearised_step(self, gradient: Floats) -> LinearisedStep | None:
-        options = self.options.linearised
-        if options is None:
-            return None
-        return linearised_step(self.bounds, self.hessian, gradient, self.q, options)
+        model = self.bounds, self.hessian, gradient, self.q
+        return linearised_step(*model, self.options.linearised)
 
 
 def _factorise(matrix: Floats) -> Any:
@@ -224,10 +222,10 @@ def linearised_step(
         ahead = _cut_step(bounds, begin, root, free - entered, options)
     except (np.linalg.LinAlgError, RuntimeError):  # too many bounds that depend on each other
         return None
-    step, active = ahead
+    step, active, is_certain = ahead
     promised = _gain(step, hessian, gradient)
-    if promised <= 0.0:  # it is the best already
-        return LinearisedStep(entered, root, active)
+    if promised <= 0.0:
+        return LinearisedStep(entered, root, active) if is_certain else None
     least = options.worth * promised
     for part in options.parts:
         inside = bounds.clip(begin + part * step) - begin
@@ -242,15 +240,16 @@ def _gain(step: Floats, hessian: Floats, gradient: Floats) -> float:
 
 def _cut_step(
     bounds: Bounds, q: Floats, root: Floats, free: Floats, options: LinearisedOptions
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats, bool]:
     """Return the step from q (size,) within bounds made linear, and V of those that hold it.
 
-    ``free`` is the step without bounds, ``root`` is L.
+    The last tells whether none inside gains more: it is broken no more, and held by no cut, which
+    may take away what is inside. ``free`` is the step without bounds, ``root`` is L.
     """
     assert bounds.feasible is not None, "a box is kept by bounded least squares"
     at_q = bounds.feasible.margins(q[bounds.muscles])
     # what is clipped would go back so far
-    kept = np.minimum(at_q, options.kept * bounds.clipped * bounds.feasible.at_rest)
+    kept = np.minimum(at_q, options.clearance * bounds.clipped * bounds.feasible.at_rest)
     tangent = _LinearBounds(bounds, q, kept)
     step = free
     held = np.zeros(0, np.int64)  # numbers of tangent bounds that hold the step, -1 of cuts
@@ -266,7 +265,7 @@ def _cut_step(
             joining = np.flatnonzero(linear.at_q < -options.outside)
             numbers = np.full(len(joining), -1)
         if len(joining) == 0:
-            break
+            return step, columns, bool((held >= 0).all())
         rows = linear.rows(joining)
         new = scipy.linalg.solve_triangular(root, rows.T, lower=True)
         columns = np.hstack([columns, new])
@@ -277,7 +276,7 @@ def _cut_step(
         step = free + scipy.linalg.solve_triangular(root, pull, lower=True, trans="T")
         holds = multipliers > 0.0
         columns, broken, held = columns[:, holds], broken[holds], held[holds]
-    return step, columns
+    return step, columns, False
 
 
 def _multipliers(columns: Floats, broken: Floats, ridge: float) -> Floats:

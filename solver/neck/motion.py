@@ -252,10 +252,13 @@ class _Run:
         self.tick = 0  # that comes next
 
     def _steps_of(self, push: Push) -> range:
-        """Return the time steps of a push, one at least."""
+        """Return the time steps of a push, one at least of what falls into the motion."""
         rate = self.options.reflex.rate_hz
+        last = float(self.goal.times[-1])
+        if push.end_s <= self.begin or push.begin_s > last:
+            return range(0)
         begin = max(push.begin_s, self.begin)
-        end = min(push.end_s, float(self.goal.times[-1]))
+        end = min(push.end_s, last)
         first = round((begin - self.begin) * rate)
         return range(first, first + max(round((end - begin) * rate), 1))
 

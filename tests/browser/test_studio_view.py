@@ -19,7 +19,7 @@ from solver.rig.studio.shapes import StudioShapes
 from solver.rig.studio.skeleton import Skeleton
 from solver.rig.studio.skin_texture import SkinTexture
 from solver.storage import write_json
-from tests.browser.rig_place import SECONDS, Place, drawing_browser, put_job, put_rig, served_rigs
+from tests.browser.rig_place import SECONDS, Place, drawing_browser, put_job, put_rig
 from tests.fixtures import small_model
 
 pytestmark = pytest.mark.slow
@@ -28,12 +28,6 @@ NAMES = ("jawOpen", "mouthSmileLeft")
 TURN = np.array([0.3, 0.0, 0.0, 0.0, -2.0])  # of the jaw, rad and mm
 WRINKLES = "studio_wrinkles_1.png"
 Page = Any
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
-    with served_rigs(tmp_path_factory.mktemp("rigs")) as place:
-        yield place
 
 
 @pytest.fixture

@@ -131,7 +131,7 @@ class FrameSolver:
             descent = self._descent
             fitted = activation.fit(*parts, effort, matrix=known, descent=descent)
             found = LeastSquaresSolution(fitted.state, fitted.objective, fitted.iterations, stop)
-            self._age = options.stale_frames
+            self._age = max(options.lagged_frames, options.stale_frames)
         self.state = found.point
         self._value = found.value
         self._age += 1
@@ -143,7 +143,7 @@ class FrameSolver:
 
     @property
     def jacobian(self) -> Jacobian | None:
-        """The sensitivities that frames are fitted by, those of a frame or a few ago."""
+        """The sensitivities that frames are fitted by, those of some frame before."""
         return None if self._lagged is None else self._lagged.jacobian
 
     def go_to(self, pose: Pose) -> None:

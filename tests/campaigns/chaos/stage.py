@@ -20,6 +20,7 @@ from service.store.database import Store
 from service.store.models import Job, Worker
 from tests.campaigns.chaos.crew import Crew
 from tests.campaigns.chaos.places import Places
+from tests.campaigns.chaos.station import Station
 from tests.campaigns.customer import WHO_AM_I, Customer
 from tests.service_client import ROOT, Studio, running
 
@@ -31,6 +32,8 @@ SETTINGS: dict[str, Any] = {
     "max_attempts": 3,
     "garbage_age": 30.0,
     "jobs": "tests.standin.jobs",
+    "live_workers": 1,
+    "live_standby": 1,
     "solver_confined": False,  # a poison kills its worker
 }
 OTHER_HOST = ("long", "short")
@@ -42,8 +45,8 @@ READS = (WHO_AM_I, ("GET", "/v1/jobs?limit=50", None), ("GET", "/v1/subjects", N
 class Stage:
     """Everything a blow may hit, and the jobs whose fate is counted.
 
-    ``reader`` looks on as a page does, all the while. Of the ``spoilt`` jobs an input is damaged
-    or lost, whose files are ``gone``.
+    ``reader`` looks on as a page does, and ``station`` plays a live session, all the while. Of the
+    ``spoilt`` jobs an input is damaged or lost, whose files are ``gone``.
     """
 
     stack: Stack
@@ -53,6 +56,8 @@ class Stage:
     places: Places
     backup: Path
     reader: Customer
+    station: Station
+    subject: str  # of the station's rig
     waiting: list[tuple[str, str, dict[str, Any]]] = field(default_factory=list)
     good: list[str] = field(default_factory=list)
     poison: list[str] = field(default_factory=list)
@@ -63,7 +68,8 @@ class Stage:
 
     def prepare(self, jobs: int, poison: int) -> None:
         """Upload the scans of all jobs, and submit the poison."""
-        subject, rig = self.studio.rigged()
+        subject = self.subject
+        rig = self.station.rig_id
         upload = self.studio.upload("take.csv", b"take")
         path = f"/v1/subjects/{subject}/captures"
         take = self.studio.post(path, name="take", role="asset", upload_id=upload)["id"]
@@ -169,7 +175,11 @@ def stage(folder: Path, dice: random.Random, places: Places) -> Iterator[Stage]:
         with Crew(settings, str(ROOT), OTHER_HOST):
             reader.start()
             backup = folder / "backup"
-            yield Stage(stack, studio, store, dice, places, backup, reader)
+            subject, rig = studio.rigged()
+            station = Station(stack.url, stack.key, rig)
+            station.open()
+            yield Stage(stack, studio, store, dice, places, backup, reader, station, subject)
+            station.close()
             stop.set()
             reader.join()
         store.close()

@@ -18,6 +18,8 @@ from tests.campaigns.chaos.stage import Stage
 from worker.orphans import ATTEMPT
 
 PATIENCE = 180.0
+STILL = 30.0
+"""Seconds within which a live face follows again, whatever was struck."""
 PROMPT = 5.0
 """Seconds within which a submission or a look is answered, whatever is wrong."""
 
@@ -45,6 +47,7 @@ class Tally:
     def settle(self, stage: Stage) -> None:
         """Wait for the jobs and check what is left of them."""
         stage.until(stage.are_over, PATIENCE)
+        self._of_the_station(stage)
         jobs = stage.jobs()
         self._states = Counter(job.state.value for job in jobs)
         good = [job for job in jobs if job.id in stage.good]
@@ -109,6 +112,24 @@ class Tally:
         unclosed = [one for one in attempts if one.outcome is None]
         left_open = len(stuck) + len(unclosed)
         self._check("leases and attempts left open", left_open, not left_open)
+
+    def _of_the_station(self, stage: Stage) -> None:
+        """End the live session, and judge how it went."""
+        station = stage.station
+        station.close()
+        with stage.store.read() as session:
+            job = session.get(Job, station.session)
+            states = session.scalars(
+                select(Event).where(Event.kind == "state", Event.job_id == station.session)
+            )
+            ends = sum(State(each.data["state"]) in FINAL for each in states)
+        assert job is not None, "the session was opened before anything was struck"
+        found = f"{job.state.value}, ended {ends} times, lost {job.lost} times"
+        fine = job.state is State.SUCCEEDED and ends == 1 and not job.lease_owner
+        self._check("the live session", found, fine)
+        told = f"{station.longest_s:.1f} of {station.followed} faces {station.error or ''}"
+        fine = station.longest_s < STILL and station.error is None
+        self._check("a live face stood still, s", told.strip(), fine)
 
     def _of_the_files(self, stage: Stage) -> None:
         """Compare the stored files with the rows that refer to files."""

@@ -16,7 +16,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.interior_point import interior_step
 from solver.fitting.objective import Regulariser, SkinDistance, Target
-from solver.fitting.steps import linearised_step
+from solver.fitting.steps import FeasibleStepOptions, LinearisedOptions, linearised_step
 from solver.fitting.stretches import determinants, fibre_tensors, matrices
 from solver.mechanics.flesh import IDENTITY
 from tests.solver.block import block_model, poses
@@ -248,3 +248,19 @@ def test_muscles_that_push_are_fitted_as_well_as_muscles_can(free, face):
     assert fitted.endings["push"].status == "converged"
     nothing = data["push"].value(free.rest.x)
     assert fitted.endings["push"].objective < 0.7 * nothing
+
+
+def test_where_cuts_lead_nowhere_the_interior_point_does():
+    """With one cut and all of its gain asked for, a step is the interior point's."""
+    layout = Layout((replace(activation_block(8), feasible=random_set(8, seed=5)), jaw_block()))
+    rng = np.random.default_rng(7)
+    root = rng.standard_normal((layout.size, layout.size))
+    hessian = root @ root.T + np.eye(layout.size)
+    gradient = -hessian @ rng.normal(0.0, 0.5, layout.size)
+    model = layout.bounds, hessian, gradient, layout.rest
+    hasty = LinearisedOptions(rounds=1, worth=1.0)
+    assert linearised_step(*model, hasty) is None
+    steps = layout.steps(hessian, gradient, layout.rest, options=FeasibleStepOptions(hasty))
+    found = layout.rest + steps.best(gradient)
+    assert layout.bounds.contains(found)
+    np.testing.assert_allclose(found, layout.rest + interior_step(*model).change, atol=1e-3)

@@ -73,8 +73,8 @@ def test_a_unit_that_no_expression_shows_is_called_for_where_its_muscles_pulled(
     at_rest = face.rest_pose().a
     moved = np.linalg.norm(recruitment.of_target(pulled).mean - at_rest, axis=1)
     assert moved[named].min() > 0.01
-    never = np.where(recruitment.hurdles > 0.0, 1.0, 0.0)
-    shown_alone = replace(recruitment, hurdles=never).of_target(pulled)
+    never = replace(recruitment.options, hurdle=1.0)
+    shown_alone = replace(recruitment, options=never).of_target(pulled)
     np.testing.assert_array_equal(shown_alone.mean[named], at_rest[named])
 
 

@@ -12,6 +12,7 @@ from tests.campaigns.chaos.blows.files import flip_file, lose_file
 from tests.campaigns.chaos.blows.lock import hold_lock
 from tests.campaigns.chaos.blows.workers import (
     freeze_worker,
+    kill_live,
     kill_solver,
     kill_worker,
     two_sweepers,
@@ -21,6 +22,7 @@ from tests.campaigns.chaos.stage import Stage
 BLOWS: dict[str, Callable[[Stage], bool]] = {
     "kill-worker": kill_worker,
     "kill-solver": kill_solver,
+    "kill-live": kill_live,
     "kill-broker": kill_broker,
     "kill-backup": kill_backup,
     "empty-broker": empty_broker,

@@ -11,7 +11,7 @@ from contextlib import closing
 from sqlalchemy import func, select
 
 from service.store.database import Database
-from service.store.models import Lease
+from service.store.models import Job, Lease
 from tests.campaigns.chaos.stage import SETTINGS, Stage
 
 LEASE = SETTINGS["lease"]
@@ -36,6 +36,15 @@ def kill_solver(stage: Stage) -> bool:
     for pid in solvers:
         kill(pid, signal.SIGKILL)
     return bool(solvers)
+
+
+def kill_live(stage: Stage) -> bool:
+    """Kill the worker that holds the station's session."""
+    with stage.store.read() as session:
+        job = session.get(Job, stage.station.session)
+    if job is None or job.lease_owner is None or job.lost + 1 >= job.max_attempts:
+        return False
+    return send_signal(job.lease_owner, signal.SIGKILL)
 
 
 def freeze_worker(stage: Stage) -> bool:

@@ -1,4 +1,6 @@
-// Faces in glTF as this product writes them: one mesh, morph targets, joints, one animation. Metres to mm.
+// Faces in glTF as this product writes them: one mesh of one primitive, morph targets, a chain of joints that turn, one
+// animation, arrays without strides. Metres to mm. They are blended in flat arrays, as expressions are, for heat maps and
+// marks on the skin; files with materials and images are three.js's to read (studio/model.js).
 
 import { Joints } from "./joints.js";
 import { Track } from "./track.js";

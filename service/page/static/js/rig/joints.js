@@ -38,7 +38,12 @@ export class Joints {
     }
   }
 
-  /** Return what each joint takes with it, at a time: three rows of a turn and a shift. */
+  /**
+   * Return what each joint takes with it, at a time: three rows of a turn and a shift.
+   *
+   * Quaternions are taken on straight lines: the writer has them on one side (`steady_side`), and
+   * holds the skin to its bound that way.
+   */
   #moves(time) {
     let turned = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
     let place = [0, 0, 0];

@@ -176,9 +176,10 @@ function ofSequence(job) {
 }
 
 function ofAnimation(job, take) {
-  const { max_error_mm: most, frame } = job.result.summary.glb;
+  const written = job.result.summary?.glb;
+  const off = written ? `, ${atMost(written.max_error_mm, written.frame)}` : "";
   const where = take?.isCarried ? "as its neck carries it" : "in the head's own frame";
-  return `The skin of the simulation, ${atMost(most, frame)}, ${take ? where : "as a neck carries it if it has one"}. Muscles and bones stay at rest in the picture; objects are not drawn.`;
+  return `The skin of the simulation${off}, ${take ? where : "as a neck carries it if it has one"}. Muscles and bones stay at rest in the picture; objects are not drawn.`;
 }
 
 function atMost(mm, frame) {

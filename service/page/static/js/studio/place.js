@@ -1,4 +1,4 @@
-// The place of a studio's rig among a job's results: what is drawn there comes once it is asked for.
+// The place of a studio's rig among a job's results: its file and images are fetched as the panel is made.
 
 import { bytes, request } from "../api.js";
 import { h, show } from "../dom.js";
