@@ -38,7 +38,7 @@ class TrackingOptions:
     """The steps of a frame, and when what lags is made anew."""
 
     # SQP steps at most, and the part of f that a step has to promise
-    stop: StopOptions = field(default_factory=lambda: StopOptions(2, promised=2e-3))
+    stop: StopOptions = field(default_factory=lambda: StopOptions(3, promised=8e-3))
     least_ratio: float = 0.2  # of a gain to the promised one, below which the frame's steps end
     damping: DampingOptions = field(
         default_factory=lambda: DampingOptions(1e-3, least=1e-4, most=1.0, good=0.7, bad=0.4)
