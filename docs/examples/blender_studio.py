@@ -24,6 +24,7 @@ from mathutils import Matrix, Quaternion, Vector
 SKIN = "skin"
 HALF = "_half"
 LEAST_UP = 0.1  # part of a wrinkle's normal along the mesh's
+MOST_TERMS = 20  # of an expression in Blender, which takes 256 characters
 # Blender's axes by glTF's: y up becomes z up, the face looks along -y
 TO_BLENDER = Matrix(((1, 0, 0, 0), (0, 0, -1, 0), (0, 1, 0, 0), (0, 0, 0, 1)))
 
@@ -129,7 +130,8 @@ class Nodes:
 def add_wrinkles(skin: bpy.types.Object, wrinkles: dict, folder: Path) -> None:
     """Add wrinkle maps to the normals of a skin, as strong as its shapes' values say.
 
-    Slopes add up: normal = normalize(n.xy / n.z + sum s m e.xy / e.z, 1), m a map's opacity.
+    Slopes add up: normal = normalize(n.xy / n.z + sum s m e.xy / e.z, 1), m a map's opacity; no z
+    counts as less than LEAST_UP.
     """
     material = skin.material_slots[0].material
     nodes = Nodes(material)
@@ -167,15 +169,15 @@ def add_wrinkles(skin: bpy.types.Object, wrinkles: dict, folder: Path) -> None:
 def drive(socket: bpy.types.NodeSocket, keys: bpy.types.Key, driven_by: dict) -> None:
     """Drive a value by shapes w: min(max(sum w c, 0) / sum c c, 1)."""
     driver = socket.driver_add("default_value").driver
-    for number, shape in enumerate(driven_by):
+    whole = sum(weight**2 for weight in driven_by.values())
+    strongest = sorted(driven_by.items(), key=lambda item: -abs(item[1]))[:MOST_TERMS]
+    for number, (shape, _) in enumerate(strongest):
         variable = driver.variables.new()
         variable.name = f"w{number}"
         variable.targets[0].id_type = "KEY"
         variable.targets[0].id = keys
         variable.targets[0].data_path = f'key_blocks["{shape}"].value'
-    whole = sum(weight**2 for weight in driven_by.values())
-    # Blender takes 256 characters
-    along = "+".join(f"{weight / whole:.4f}*w{k}" for k, weight in enumerate(driven_by.values()))
+    along = "+".join(f"{weight / whole:.4f}*w{k}" for k, (_, weight) in enumerate(strongest))
     driver.type = "SCRIPTED"
     driver.expression = f"min(max({along}, 0), 1)"
 

@@ -2,12 +2,13 @@
 //
 //     s = min(max(sum w c, 0) / sum c c, 1),    normal = normalize(n.xy / n.z + sum s m e.xy / e.z, 1)
 //
-// c are the weights that an expression is made of, m and e the opacity and the normal of its map, and n
-// the neutral's normal.
+// c are the weights that an expression is made of, m and e the opacity and the normal of its map, whose z
+// counts as LEAST_UP at least, and n the neutral's normal.
 
 import { DataTexture, ShaderChunk } from "../../vendor/three.js";
 
 const MOST = 8; // maps: a shader has 16 images
+const LEAST_UP = "0.1";
 const FLAT = new Uint8Array([128, 128, 255, 255]); // the normal of a mesh alone
 const CHUNK = "#include <normal_fragment_maps>";
 const SCALED = "mapN.xy *= normalScale;";
@@ -68,7 +69,7 @@ export class SkinDetail {
     const added = this.#maps.map((_, i) => `{
       vec4 map = texture2D(wrinkles${i}, vNormalMapUv);
       vec3 e = 2.0 * map.xyz - 1.0;
-      slopes += strength${i} * map.a * normalScale * e.xy / max(e.z, 0.1);
+      slopes += strength${i} * map.a * normalScale * e.xy / max(e.z, ${LEAST_UP});
     }`);
     const mixed = `${SCALED}
     vec2 slopes = ownDetail * mapN.xy / mapN.z;
