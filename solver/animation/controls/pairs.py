@@ -170,7 +170,12 @@ class PairRows:
 
     def reduced(self, modes: SkinModes) -> PairRows:
         """Return the pairs with their skins in ``modes``."""
-        return replace(self, skins=np.array([modes.reduce(skin) for skin in self.skins]))
+        return replace(self, skins=_as_kept([modes.reduce(skin) for skin in self.skins]))
+
+
+def _as_kept(rows: Sequence[Floats | float]) -> Floats:
+    """Return an array of rows as a file keeps it: what is learned is the same after a resume."""
+    return np.array(rows, np.float32).astype(float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,9 +297,10 @@ class Walks:
         if not rows:
             reason = "no mixture of the template's shapes can be fitted on this rig"
             raise SolveError("controls.few", reason)
-        weights, changes, skins, off = (np.array(column) for column in zip(*rows, strict=True))
+        columns = list(zip(*rows, strict=True))
+        weights, changes, off = (_as_kept(columns[place]) for place in (0, 1, 3))
         walks = np.full(len(rows), number)
-        return Walked(PairRows(weights, changes, skins, off, walks), failed)
+        return Walked(PairRows(weights, changes, np.array(columns[2]), off, walks), failed)
 
 
 MODES = 96  # of the skin: the main ones of the first walks

@@ -168,7 +168,7 @@ def test_pairs_that_are_there_are_not_solved_again(
         again = Controls.load(tmp_path / name / "controls.npz", MODEL, MODEL.weights)
         before = Controls.load(learned / "controls.npz", MODEL, MODEL.weights)
         weights = np.array([0.3, 0.2, 0.9])
-        np.testing.assert_allclose(again.changes(weights), before.changes(weights), atol=1e-3)
+        np.testing.assert_allclose(again.changes(weights), before.changes(weights), atol=1e-9)
 
 
 @pytest.mark.usefixtures("played")
