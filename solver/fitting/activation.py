@@ -211,8 +211,7 @@ class _PoseProblem:
         before = self.model
         # the model begins with the matrix of the one before
         learnt = LearntMatrix.of(self.matrix) if before is None else before.learnt
-        parts = self.face, self.data, self.regulariser, point, learnt, self.options
-        model = GaussNewton(*parts)
+        model = GaussNewton(self.face, self.data, self.regulariser, point, learnt, self.options)
         if self.second is None:
             self.second = SecondOrder(np.zeros((len(model.gradient), len(model.gradient))))
         if before is not None and self.taken is not None:

@@ -1,6 +1,7 @@
 // A studio's rig (`studio.glb`) in the canvas: shapes by weights, joints, and the skin's images.
 
 import { Color, GLTFLoader, TextureLoader, Vector3 } from "../../vendor/three.js";
+import { box } from "../rig/figure.js";
 import { rimPlane } from "../rig/rim.js";
 import { SkinDetail } from "./detail.js";
 
@@ -64,14 +65,7 @@ export class StudioModel {
 
   /** Corners of the skin at rest, mm. */
   get box() {
-    const array = this.#places;
-    const low = [Infinity, Infinity, Infinity];
-    const high = [-Infinity, -Infinity, -Infinity];
-    array.forEach((value, i) => {
-      low[i % 3] = Math.min(low[i % 3], value);
-      high[i % 3] = Math.max(high[i % 3], value);
-    });
-    return [low, high];
+    return box(this.#places);
   }
 
   /** Show shapes by their weights, name -> 0 to 1. */
