@@ -18,6 +18,7 @@ from alembic.config import Config
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import (
+    URL,
     Connection,
     Engine,
     create_engine,
@@ -46,7 +47,7 @@ MIGRATION_LOCK = 0x6D796F  # any constant: PostgreSQL's advisory locks go by num
 
 
 # Of a connection to PostgreSQL: a cut link is an error within seconds, not after a quarter hour.
-# `tcp_user_timeout` is in milliseconds.
+# `tcp_user_timeout` is in milliseconds. What the URL says comes first.
 PATIENCE = {
     "connect_timeout": 5,
     "tcp_user_timeout": 10_000,
@@ -85,7 +86,7 @@ class Database:
         self.url = make_url(url)
         if self.is_sqlite and self.url.database:
             Path(self.url.database).parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self.engine = _engine(str(url), self.is_sqlite)
+        self.engine = _engine(self.url, self.is_sqlite)
 
     @property
     def is_sqlite(self) -> bool:
@@ -248,11 +249,12 @@ def one_at_a_time(session: Session, name: str) -> None:
         session.execute(select(func.pg_advisory_xact_lock(number)))
 
 
-def _engine(url: str, sqlite: bool) -> Engine:
+def _engine(url: URL, sqlite: bool) -> Engine:
     # hidden: names of people are among the parameters, and errors go to the log
     if not sqlite:
+        patience = {name: value for name, value in PATIENCE.items() if name not in url.query}
         engine = create_engine(
-            url, pool_pre_ping=True, hide_parameters=True, connect_args=PATIENCE, **POOL
+            url, pool_pre_ping=True, hide_parameters=True, connect_args=patience, **POOL
         )
         event.listen(engine, "begin", _begin_postgresql)
         return engine

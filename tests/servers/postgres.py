@@ -79,11 +79,14 @@ def _wait_for(url: str) -> None:
 
 
 def fresh_database(url: str) -> str:
-    """Make an empty database on a server; returns its URL."""
+    """Make an empty database on a server; returns its URL.
+
+    Connections are waited for longer than a service does: this machine may be busy with tests.
+    """
     name = f"test_{uuid.uuid4().hex[:12]}"
     with psycopg.connect(url, autocommit=True) as connection:
         connection.execute(f"CREATE DATABASE {name}")
-    return url.rpartition("/")[0] + f"/{name}"
+    return url.rpartition("/")[0] + f"/{name}?connect_timeout=60"
 
 
 def _programs() -> Path:
