@@ -94,21 +94,29 @@ class SilentClosers(SquaredPrior):
 
     @override
     def gradient(self, pose: Pose) -> Floats:
-        left, slopes = self._linear(pose)
-        return np.asarray(self.weight * left @ slopes)
+        out = np.zeros(pose.layout.size)
+        left, slopes, used = self._linear(pose)
+        out[used] = self.weight * left @ slopes
+        return out
 
     @override
-    def gauss_newton(self, pose: Pose) -> Floats:
-        slopes = self._linear(pose)[1]
-        return np.asarray(self.weight * slopes.T @ slopes)
+    def add_gauss_newton(self, pose: Pose, out: Floats) -> None:
+        _, slopes, used = self._linear(pose)
+        out[np.ix_(used, used)] += self.weight * slopes.T @ slopes
 
-    def _linear(self, pose: Pose) -> tuple[Floats, Floats]:
-        """Return the residuals t(o) max(0, ...) (k,) and their derivatives (k, size)."""
+    def _linear(self, pose: Pose) -> tuple[Floats, Floats, Ints]:
+        """Return the residuals t(o) max(0, ...) (k,), and their derivatives (k, u) by u controls.
+
+        The last are the places of these (u,).
+        """
         (part, by_jaw), beyond = self._open(pose), self._beyond(pose)
-        slopes = np.zeros((len(self.numbers), pose.layout.size))
-        slopes[:, self.joint] = beyond[:, None] * by_jaw
-        np.put_along_axis(slopes, self.places, part * (beyond > 0.0)[:, None] * self.rates, axis=1)
-        return part * beyond, slopes
+        contracting = np.flatnonzero(part * beyond > 0.0)
+        own = self.places[contracting]
+        slopes = np.zeros((len(self.numbers), own.size + len(self.joint)))
+        columns = np.arange(own.size).reshape(own.shape)
+        slopes[contracting[:, None], columns] = part * self.rates[contracting]
+        slopes[:, own.size :] = beyond[:, None] * by_jaw
+        return part * beyond, slopes, np.concatenate([own.ravel(), self.joint])
 
     def _beyond(self, pose: Pose) -> Floats:
         change = pose.a.reshape(len(pose.a), -1)[self.numbers] - IDENTITY

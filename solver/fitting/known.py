@@ -76,8 +76,8 @@ class KnownTerm(SquaredPrior):
         return np.asarray(self.weight * (self.residuals(pose) / self.sd) @ self.rates)
 
     @override
-    def gauss_newton(self, pose: Pose) -> Floats:
-        return self.curvature
+    def add_gauss_newton(self, pose: Pose, out: Floats) -> None:
+        out += self.curvature
 
     @cached_property
     def freedom(self) -> Floats:

@@ -102,8 +102,14 @@ class Prior(Protocol):
     def gradient(self, pose: Pose) -> Floats:
         """Return its derivative by the controls (k,)."""
 
+    def add_gauss_newton(self, pose: Pose, out: Floats) -> None:
+        """Add its positive semi-definite Gauss-Newton Hessian to ``out`` (k, k)."""
+
     def gauss_newton(self, pose: Pose) -> Floats:
-        """Return its positive semi-definite Gauss-Newton Hessian (k, k)."""
+        """Return its Gauss-Newton Hessian (k, k)."""
+        out = np.zeros((pose.layout.size, pose.layout.size))
+        self.add_gauss_newton(pose, out)
+        return out
 
 
 @dataclass(frozen=True)
@@ -173,15 +179,15 @@ class Regulariser(Prior):
         blocks[:, each, each] += self.w_a
         return blocks, self.w_b * pose.layout.joint_units**2
 
-    def gauss_newton(self, pose: Pose) -> Floats:
-        """Return the Gauss-Newton Hessian as one matrix (size, size)."""
+    @override
+    def add_gauss_newton(self, pose: Pose, out: Floats) -> None:
         layout = pose.layout
         blocks, diagonal = self._curvature(pose)
-        out = np.zeros((layout.size, layout.size))
-        out[layout.muscles[:, :, None], layout.muscles[:, None, :]] = blocks
+        out[layout.muscles[:, :, None], layout.muscles[:, None, :]] += blocks
         joints = layout.joint_places
-        out[joints, joints] = diagonal
-        return sum((other.gauss_newton(pose) for other in self.others), out)
+        out[joints, joints] += diagonal
+        for other in self.others:
+            other.add_gauss_newton(pose, out)
 
 
 class SquaredPrior(Prior):
@@ -220,10 +226,8 @@ class PartPrior(Prior):
         return out
 
     @override
-    def gauss_newton(self, pose: Pose) -> Floats:
-        out = np.zeros((self.size, self.size))
-        out[np.ix_(self.places, self.places)] = self.precision
-        return out
+    def add_gauss_newton(self, pose: Pose, out: Floats) -> None:
+        out[np.ix_(self.places, self.places)] += self.precision
 
 
 @dataclass(frozen=True)
@@ -241,12 +245,9 @@ class PriorSum(Prior):
         return np.asarray(sum(prior.gradient(pose) for prior in self.priors))
 
     @override
-    def gauss_newton(self, pose: Pose) -> Floats:
-        first, *others = (prior.gauss_newton(pose) for prior in self.priors)
-        out = first.copy()
-        for other in others:
-            out += other
-        return out
+    def add_gauss_newton(self, pose: Pose, out: Floats) -> None:
+        for prior in self.priors:
+            prior.add_gauss_newton(pose, out)
 
 
 @dataclass(frozen=True)

@@ -77,8 +77,8 @@ class GaussianPrior(Prior):
         return np.asarray(self.precision @ (pose.vector() - self.mean))
 
     @override
-    def gauss_newton(self, pose: Pose) -> Floats:
-        return self.precision
+    def add_gauss_newton(self, pose: Pose, out: Floats) -> None:
+        out += self.precision
 
     def about(self, mean: Floats) -> GaussianPrior:
         """Return the same distribution about another mean (k,)."""

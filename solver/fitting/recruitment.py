@@ -44,6 +44,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -57,7 +58,7 @@ from solver.fitting.jaw_closers import CloserOptions, SilentClosers
 from solver.fitting.objective import Prior, Regulariser, SquaredPrior, Target
 from solver.fitting.predicted_units import predict_units
 from solver.fitting.simplex import mirrored_pairs
-from solver.fitting.stretches import fibre_tensors, isochoric_activation
+from solver.fitting.stretches import IsochoricActivations, fibre_tensors
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
@@ -115,6 +116,7 @@ class Recruitment:
     effort: Effort
     closers: SilentClosers
     options: RecruitmentOptions = RecruitmentOptions()
+    _last: list[_SeenMotions] = field(init=False, default_factory=list)  # as the last target did
 
     @classmethod
     def of_face(cls, face: Face, options: RecruitmentOptions | None = None) -> Recruitment | None:
@@ -155,11 +157,17 @@ class Recruitment:
         strengths = np.minimum(amounts, 1.0)[:, None]
         contraction = options.contraction * (strengths * self.named).max(axis=0)
         mean = np.tile(IDENTITY, (len(price), 1))
-        for muscle in np.flatnonzero((contraction > 0.0) & np.isfinite(self.tensors[:, 0, 0])):
-            mean[muscle] = isochoric_activation(self.tensors[muscle], 1.0 - contraction[muscle])
+        fibred, shortened = self._shortened
+        mean[fibred] = shortened(1.0 - contraction[fibred])
         sides = replace(self.sides, weight=options.even * explained * self.evenness(amounts))
         effort = replace(self.effort, weights=options.effort * explained * (1.0 - called))
         return Recruited((price**explained)[:, None], mean, sides, effort, self.closers)
+
+    @cached_property
+    def _shortened(self) -> tuple[Ints, IsochoricActivations]:
+        """Numbers (k,) of the muscles with fibres, and their activations by their length."""
+        fibred = np.flatnonzero(np.isfinite(self.tensors[:, 0, 0]))
+        return fibred, IsochoricActivations.of(self.tensors[fibred])
 
     def evenness(self, amounts: Floats) -> float:
         """Return how alike both sides of expressions by their ``amounts`` (e,) are, from 0 to 1."""
@@ -175,29 +183,75 @@ class Recruitment:
         The second is the part of its squared motion that they explain, from 0 to 1. A jaw that
         opens is an expression like any other.
         """
-        seen = target.weights > 0.0
-        root = np.sqrt(target.weights[seen])[:, None]
-        motion = root * (target.points - self.rest)[seen]
-        rows = root * self.motions[:, seen]
-        if target.normals is not None:
-            along = target.normals[seen]
-            motion = (motion * along).sum(axis=-1)
-            rows = (rows * along).sum(axis=-1)
-        motion = motion.ravel()
-        rows = rows.reshape(len(rows), -1)
+        seen = self._seen(target)
+        rows = seen.rows
+        motion = seen.of_points(target.points - self.rest)
         whole = float(motion @ motion)
         if whole == 0.0:
             return np.zeros(len(rows)), 0.0
         shown = self.shown
+        products = rows @ motion
         amounts = np.zeros(len(rows))
-        amounts[shown] = _least_amounts(rows[shown], motion)
+        amounts[shown] = _least_amounts(seen.root_of_shown, products[shown])
         left = motion - amounts @ rows
         if not shown.all():
-            sizes = np.linalg.norm(left) * np.linalg.norm(rows, axis=1)
             hurdles = np.where(shown, 0.0, self.options.hurdle)
-            amounts = _least_amounts(rows, motion, hurdles * sizes)
+            costs = hurdles * np.linalg.norm(left) * seen.sizes
+            amounts = _least_amounts(seen.root, products - costs)
             left = motion - amounts @ rows
         return amounts, max(1.0 - float(left @ left) / whole, 0.0)
+
+    def _seen(self, target: Target) -> _SeenMotions:
+        """Return the motions as a target sees them: those of the one before if it sees alike."""
+        for before in self._last:
+            if before.is_of(target):
+                return before
+        found = _SeenMotions.of(self.motions, self.shown, target)
+        self._last[:] = [found]
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _SeenMotions:
+    """Motions of e expressions as a target sees them, weighted, along its normals if it has any."""
+
+    weights: Floats  # (k,)
+    normals: Floats | None  # (k, 3)
+    rows: Floats  # (e, points or coordinates that are seen)
+    sizes: Floats  # (e,) of the rows
+    root: Floats  # of what the rows have in common, lower triangular (e, e)
+    root_of_shown: Floats  # of those of expressions alone
+
+    @classmethod
+    def of(
+        cls, motions: NDArray[np.floating], shown: NDArray[np.bool_], target: Target
+    ) -> _SeenMotions:
+        """Return how a target sees ``motions`` (e, k, 3), of which some are ``shown`` (e,)."""
+        rows = _seen_by(target.weights, target.normals, motions).reshape(len(motions), -1)
+        square = rows @ rows.T
+        parts = (square, square[np.ix_(shown, shown)])
+        # rows that are sums of others, or are not seen, are left where they are
+        roots = [np.linalg.cholesky(it + 1e-9 * np.trace(it) * np.eye(len(it))) for it in parts]
+        return cls(target.weights, target.normals, rows, np.linalg.norm(rows, axis=1), *roots)
+
+    def is_of(self, target: Target) -> bool:
+        """Tell whether a target sees alike."""
+        alike = self.normals is target.normals is None
+        return alike and np.array_equal(self.weights, target.weights)
+
+    def of_points(self, motion: Floats) -> Floats:
+        """Return how a ``motion`` (k, 3) is seen."""
+        return _seen_by(self.weights, self.normals, motion).ravel()
+
+
+def _seen_by(weights: Floats, normals: Floats | None, motions: NDArray[np.floating]) -> Floats:
+    """Return ``motions`` (..., k, 3) of the points that have weights (k,), times their roots.
+
+    Along ``normals`` (k, 3), if there are any, they are numbers.
+    """
+    seen = weights > 0.0
+    rows = np.sqrt(weights[seen])[:, None] * motions[..., seen, :]
+    return np.asarray(rows if normals is None else (rows * normals[seen]).sum(axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,13 +320,11 @@ class Effort(Prior):
         return out
 
     @override
-    def gauss_newton(self, pose: Pose) -> Floats:
+    def add_gauss_newton(self, pose: Pose, out: Floats) -> None:
         # of the parabola that touches the price at k_j, and at -k_j, and is above it elsewhere
-        out = np.zeros((pose.layout.size, pose.layout.size))
         bends = self.weights / self._smooth(self._contractions(pose))
         blocks = bends[:, None, None] * self.rates[:, :, None] * self.rates[:, None, :]
-        out[self.places[:, :, None], self.places[:, None, :]] = blocks
-        return out
+        out[self.places[:, :, None], self.places[:, None, :]] += blocks
 
     def _contractions(self, pose: Pose) -> Floats:
         return np.asarray((self.rates * (pose.a - IDENTITY)).sum(axis=1))
@@ -313,11 +365,11 @@ class EvenSides(SquaredPrior):
         return out
 
     @override
-    def gauss_newton(self, pose: Pose) -> Floats:
-        out = np.zeros((pose.layout.size, pose.layout.size))
-        out[self.left, self.left] = out[self.right, self.right] = self.weight
-        out[self.left, self.right] = out[self.right, self.left] = -self.weight * self.signs
-        return out
+    def add_gauss_newton(self, pose: Pose, out: Floats) -> None:
+        for side in (self.left, self.right):
+            out[side, side] += self.weight
+        out[self.left, self.right] -= self.weight * self.signs
+        out[self.right, self.left] -= self.weight * self.signs
 
     @override
     def residuals(self, pose: Pose) -> Floats:
@@ -325,12 +377,9 @@ class EvenSides(SquaredPrior):
         return np.asarray(q[self.left] - self.signs * q[self.right])
 
 
-def _least_amounts(rows: Floats, motion: Floats, cost: Floats | float = 0.0) -> Floats:
-    """Return the u (e,) >= 0 with the least |motion - u rows|^2 / 2 + cost . u."""
-    square = rows @ rows.T
-    # rows that are sums of others, or are not seen, are left where they are
-    root = np.linalg.cholesky(square + 1e-9 * np.trace(square) * np.eye(len(rows)))
-    goal = scipy.linalg.solve_triangular(root, rows @ motion - cost, lower=True)
+def _least_amounts(root: Floats, slopes: Floats) -> Floats:
+    """Return the u (e,) >= 0 with the least |root^T u|^2 / 2 - slopes . u."""
+    goal = scipy.linalg.solve_triangular(root, slopes, lower=True)
     return np.asarray(nnls(root.T, goal)[0])
 
 

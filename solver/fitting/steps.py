@@ -24,7 +24,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import scipy.linalg
@@ -187,9 +187,9 @@ class LinearisedStep:
 
     def follow(self, change: Floats) -> Floats:
         """Return L^-T (1 - Q Q^T) L^-1 r for r (size,), the columns of Q being a basis of V's."""
-        pull = scipy.linalg.solve_triangular(self.root, change, lower=True)
+        pull = _solve_triangular(self.root, change)
         pull -= self._basis @ (self._basis.T @ pull)
-        return np.asarray(scipy.linalg.solve_triangular(self.root, pull, lower=True, trans="T"))
+        return _solve_triangular(self.root, pull, trans="T")
 
     @cached_property
     def _basis(self) -> Floats:
@@ -267,13 +267,13 @@ def _cut_step(
         if len(joining) == 0:
             return step, columns, bool((held >= 0).all())
         rows = linear.rows(joining)
-        new = scipy.linalg.solve_triangular(root, rows.T, lower=True)
+        new = _solve_triangular(root, rows.T)
         columns = np.hstack([columns, new])
         broken = np.append(broken, -linear.margins(free - at)[joining])
         held = np.append(held, numbers)
         multipliers = _multipliers(columns, broken, options.ridge)
         pull = columns @ multipliers
-        step = free + scipy.linalg.solve_triangular(root, pull, lower=True, trans="T")
+        step = free + _solve_triangular(root, pull, trans="T")
         holds = multipliers > 0.0
         columns, broken, held = columns[:, holds], broken[holds], held[holds]
     return step, columns, False
@@ -283,8 +283,14 @@ def _multipliers(columns: Floats, broken: Floats, ridge: float) -> Floats:
     """Return the l (k,) of columns V (size, k) and how far ``broken`` (k,) each bound is."""
     matrix = columns.T @ columns
     matrix[np.diag_indices_from(matrix)] *= 1.0 + ridge
-    root = scipy.linalg.cholesky(matrix, lower=True)
-    found, _ = nnls(root.T, scipy.linalg.solve_triangular(root, broken, lower=True))
+    root = scipy.linalg.cholesky(matrix, lower=True, check_finite=False)
+    found, _ = nnls(root.T, _solve_triangular(root, broken))
+    return np.asarray(found)
+
+
+def _solve_triangular(root: Floats, right: Floats, trans: Literal["N", "T"] = "N") -> Floats:
+    """Return root^-1 r, of the lower triangular ``root`` or its transpose, both being finite."""
+    found = scipy.linalg.solve_triangular(root, right, lower=True, trans=trans, check_finite=False)
     return np.asarray(found)
 
 

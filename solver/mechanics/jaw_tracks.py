@@ -18,7 +18,8 @@ that the five numbers of a free jaw (:class:`~solver.model.JawFrame`) can say ev
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 from scipy.optimize import nnls
@@ -53,6 +54,10 @@ class JawTrackOptions:
 TRACKS = JawTrackOptions()
 
 
+# the rotation, the slide, and both's derivatives
+_Motion: TypeAlias = tuple[Floats, Floats, tuple[Floats, Floats]]
+
+
 @dataclass(frozen=True)
 class JawTracks(JawMotion):
     """Tracks of the condyles: a :class:`~solver.mechanics.boundary.JawMotion` by q (3,)."""
@@ -64,6 +69,8 @@ class JawTracks(JawMotion):
     opening: float  # the greatest theta, rad
     bend: float = 0.0  # k, 1/mm
     retrusion: float = 0.0  # how far a condyle may go behind its rest, mm
+    # the last motion that was asked for: a fit asks for the same in all of a step
+    _last: list[tuple[Floats, _Motion]] = field(init=False, default_factory=list, compare=False)
 
     @classmethod
     def of(cls, frame: JawFrame) -> JawTracks | None:
@@ -133,18 +140,27 @@ class JawTracks(JawMotion):
         v = np.cos(self.slope) * ahead + np.sin(self.slope) * down
         return v, np.cos(self.slope) * down - np.sin(self.slope) * ahead
 
-    def _motion(self, b: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
+    def _motion(self, b: Floats) -> _Motion:
         """Return the rotation, the slide, and both's derivatives by q, (3, 3, 3) and (3, 3)."""
+        for before, found in self._last:
+            if np.array_equal(before, b):
+                return found
+        found = self._motion_anew(b)
+        self._last[:] = [(b.copy(), found)]
+        return found
+
+    def _motion_anew(self, b: Floats) -> _Motion:
         u = self.frame.axes[0]
+        across = skew(u)
         (left, by_left), (right, by_right) = self._way(b[1]), self._way(b[2])
         open_, by_angle = rotation(u, b[0])
         d = (left - right) / self.apart
         c = np.sqrt(1.0 - d @ d)
-        K = skew(np.cross(u, d))
+        K = skew(across @ d)
         turn = np.eye(3) + K + K @ K / (1.0 + c)
         rates = [turn @ by_angle]
         for rate in (by_left / self.apart, -by_right / self.apart):
-            dK = skew(np.cross(u, rate))
+            dK = skew(across @ rate)
             dc = -(d @ rate) / c
             by_slide = dK + (dK @ K + K @ dK) / (1.0 + c) - K @ K * (dc / (1.0 + c) ** 2)
             rates.append(by_slide @ open_)

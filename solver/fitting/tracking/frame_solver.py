@@ -37,8 +37,9 @@ from solver.surface import Floats
 class TrackingOptions:
     """The steps of a frame, and when what lags is made anew."""
 
-    # SQP steps at most, and the part of f that a step has to promise
-    stop: StopOptions = field(default_factory=lambda: StopOptions(3, promised=8e-3))
+    # SQP steps at most, the part of f that a step has to promise, and the gain below which another
+    # is not worth what telling its promise costs
+    stop: StopOptions = field(default_factory=lambda: StopOptions(3, promised=8e-3, gained=0.1))
     least_ratio: float = 0.2  # of a gain to the promised one, below which the frame's steps end
     damping: DampingOptions = field(
         default_factory=lambda: DampingOptions(1e-3, least=1e-4, most=1.0, good=0.7, bad=0.4)
@@ -201,7 +202,8 @@ class _FrameProblem:
         jacobian = self.lagged.jacobian
         gradient = jacobian.adjoint(self.data.gradient(point.x))
         gradient += self.regulariser.gradient(point.pose)
-        hessian = self.lagged.hessian + self.regulariser.gauss_newton(point.pose)
+        hessian = self.lagged.hessian.copy()
+        self.regulariser.add_gauss_newton(point.pose, hessian)
         # contact is found anew for every x: where f's value has found it
         if self.contact is not None and self.contact.value(point.estimate):
             gradient += jacobian.adjoint(self.contact.gradient(point.estimate))
