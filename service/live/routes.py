@@ -32,8 +32,8 @@ from service.live.relay import RelayedClient, RelayOptions
 from service.live.schemas import (
     NewSession,
     OpenedSession,
-    Recording,
     SessionView,
+    TakeRecording,
     TicketOrder,
     TicketView,
 )
@@ -154,8 +154,8 @@ async def end(session_id: Id, store: ReceivingStore, who: Writer, broker: Broker
     responses=problems(404, 409, 422, 503),
 )
 async def begin_take(
-    session_id: Id, take: Recording, store: ReceivingStore, _: Writer, broker: BrokerDep
-) -> Recording:
+    session_id: Id, take: TakeRecording, store: ReceivingStore, _: Writer, broker: BrokerDep
+) -> TakeRecording:
     """Have a session record a take; it says `recording`, or a `fault`, to all who are connected."""
     await service.tell(store, broker, session_id, {"record": take.name})
     return take

@@ -47,7 +47,7 @@ class TicketOrder(RequestBody):
     )
 
 
-class Recording(RequestBody):
+class TakeRecording(RequestBody):
     """A take that is to be recorded."""
 
     name: str = Field(

@@ -24,7 +24,7 @@ MM = 1e-3  # m
 
 
 @dataclass(frozen=True)
-class Muscle:
+class NeckMuscle:
     """A muscle along straight lines through points that bodies carry."""
 
     name: str
@@ -54,7 +54,7 @@ class Neck:
     damping: Floats  # (8, 3) N m s/rad
     ranges: Floats  # (8, 3) rad, how far each joint turns about x, y, z to either side
     shares: Floats  # (8, 3) of the head's rotation that each joint takes; columns sum to 1
-    muscles: tuple[Muscle, ...]
+    muscles: tuple[NeckMuscle, ...]
     source: str  # a file's name, or what the built-in table is from
     landmarks: Mapping[str, Floats] = field(default_factory=dict)  # of the skull, (3,) mm each
     notices: tuple[str, ...] = ()  # what was replaced or left out as it was read

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from solver.anatomy.data import read_table
-from solver.neck.anatomy import Muscle, Neck
+from solver.neck.anatomy import Neck, NeckMuscle
 from solver.neck.builtin import DATA, builtin_neck
 from solver.similarity import Similarity, fit_similarity
 from solver.surface import Floats
@@ -106,7 +106,7 @@ def _ends(points: Floats) -> Floats:
     return np.array([points[along <= low].mean(axis=0), points[along >= high].mean(axis=0)])
 
 
-def _with_ends(muscle: Muscle, which: list[int], ends: Floats) -> Muscle:
+def _with_ends(muscle: NeckMuscle, which: list[int], ends: Floats) -> NeckMuscle:
     points = muscle.points.copy()
     points[which] = ends
     grown = replace(muscle, points=points, source="BodyParts3D (CC BY 4.0)")

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from solver.anatomy.data import read_table
-from solver.neck.anatomy import BODIES, Muscle, Neck, ball_inertia
+from solver.neck.anatomy import BODIES, Neck, NeckMuscle, ball_inertia
 from solver.surface import Floats
 
 DATA = "solver.neck.data"
@@ -73,10 +73,10 @@ def builtin_neck(options: BuiltinOptions = BuiltinOptions()) -> Neck:
 _WAYS = ("nod", "turn", "tilt")  # about x, y, z
 
 
-def _muscle(row: dict[str, str], side: str) -> Muscle:
+def _muscle(row: dict[str, str], side: str) -> NeckMuscle:
     steps = [step.split() for step in row["path"].split(";")]
     points = np.array([[float(word) for word in step[1:]] for step in steps])
-    return Muscle(
+    return NeckMuscle(
         f"{row['muscle']}_{side}",
         np.array([BODIES.index(step[0]) for step in steps]),
         points if side == "l" else points * MIRRORED,

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from solver.errors import quote, quote_names
-from solver.neck.anatomy import JOINTS, Muscle, Neck, ball_inertia
+from solver.neck.anatomy import JOINTS, Neck, NeckMuscle, ball_inertia
 from solver.neck.elements import Element, XmlLimits, read_elements
-from solver.neck.osim_joints import Function, M, Placed, Skeleton, read_function
+from solver.neck.osim_joints import Function, M, OsimSkeleton, Placed, read_function
 from solver.surface import Floats
 
 MUSCLES = (
@@ -74,7 +74,7 @@ class _Model:
             if element.tag == "WrapObjectSet" and (inside := element.find("objects")):
                 for wrap in inside:
                     raise wrap.error("is a wrap object; muscles go along straight lines here")
-        self.skeleton = Skeleton(model)
+        self.skeleton = OsimSkeleton(model)
 
     def neck(self) -> Neck:
         chain = self.skeleton.chain
@@ -230,8 +230,8 @@ class _Model:
 
     # Muscles
 
-    def _muscles(self) -> tuple[Muscle, ...]:
-        found: list[Muscle] = []
+    def _muscles(self) -> tuple[NeckMuscle, ...]:
+        found: list[NeckMuscle] = []
         skipped = []
         for force in self.model.find("ForceSet/objects") or ():
             path = force.find("GeometryPath") or force.find("path/GeometryPath")
@@ -254,7 +254,7 @@ class _Model:
             raise self.model.error("has no muscles")
         return tuple(found)
 
-    def _muscle(self, force: Element, path: Element) -> Muscle:
+    def _muscle(self, force: Element, path: Element) -> NeckMuscle:
         wraps = path.find("PathWrapSet/objects")
         for wrap in wraps or ():
             raise wrap.error(f"of '{quote(force.name)}' is wrapping, which is not read")
@@ -280,7 +280,7 @@ class _Model:
         pennation = force.number("pennation_angle_at_optimal", 0.0)
         if not 0.0 <= pennation < 1.4:
             raise force.need("pennation_angle_at_optimal").error("is not within 0 and 1.4")
-        muscle = Muscle(
+        muscle = NeckMuscle(
             force.name,
             np.array(bodies),
             np.array(points),

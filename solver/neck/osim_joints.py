@@ -57,7 +57,7 @@ class Turn:
 
 
 @dataclass(frozen=True)
-class Joint:
+class OsimJoint:
     """A joint: it turns the body ``child`` against ``parent``, or welds it to it."""
 
     element: Element
@@ -76,7 +76,7 @@ class Joint:
         return self.before.then(Placed(R, np.zeros(3))).then(self.after.inverse())
 
 
-class Skeleton:
+class OsimSkeleton:
     """The bodies and joints of a model.
 
     Raises ``neck.osim`` for what cannot be read.
@@ -88,13 +88,13 @@ class Skeleton:
         self.frames: dict[str, str] = {}  # the body of an offset frame, by joint/frame
         self.joints = [self._joint(each) for each in model.need("JointSet/objects")]
         self._placed: dict[str, Placed] = {}  # bodies in the ground's frame, as they are asked for
-        self.joint_of: dict[str, Joint] = {}
+        self.joint_of: dict[str, OsimJoint] = {}
         for joint in self.joints:
             if joint.child in self.joint_of:
                 raise joint.element.error(f"is a second joint under '{quote(joint.child)}'")
             self.joint_of[joint.child] = joint
 
-    def _joint(self, element: Element) -> Joint:
+    def _joint(self, element: Element) -> OsimJoint:
         if element.tag not in (*TURNING, "WeldJoint"):
             raise element.error("is a joint of another kind than custom, pin, ball and weld")
         frames = {}
@@ -112,7 +112,7 @@ class Skeleton:
             else:
                 ends.append((self.named_body(element, socket), STILL))
         (parent, before), (child, after) = ends
-        return Joint(element, parent, child, before, after, self._turns(element))
+        return OsimJoint(element, parent, child, before, after, self._turns(element))
 
     def named_body(self, element: Element, socket: str) -> str:
         """Return the body that a socket names; raises ``neck.osim`` if it is missing."""
@@ -162,13 +162,13 @@ class Skeleton:
         return not any(each.rsplit("/", 1)[-1] == "ground" for each in [parent, *bodies])
 
     @cached_property
-    def chain(self) -> list[Joint]:
+    def chain(self) -> list[OsimJoint]:
         """The eight joints that turn, from the torso to the head."""
         heads = [name for name in self.bodies if name.lower() in HEADS]
         if not heads:
             known = ", ".join(quote_names([*self.bodies]))
             raise self.model.need("BodySet").error(f"has no skull or head, but {known}")
-        found: list[Joint] = []
+        found: list[OsimJoint] = []
         body = heads[0]
         seen = set()
         while len(found) < JOINTS:
@@ -203,9 +203,9 @@ class Skeleton:
             self._placed[joint.child] = self._placed.get(joint.parent, STILL).then(joint.placed)
         return self._placed.get(body, STILL)
 
-    def _joints_under(self, body: str, known: Container[str]) -> list[Joint]:
+    def _joints_under(self, body: str, known: Container[str]) -> list[OsimJoint]:
         """Return the joints from a body down to the first one that is ``known``, or the last."""
-        found: list[Joint] = []
+        found: list[OsimJoint] = []
         while body not in known and (joint := self.joint_of.get(body)) is not None:
             found.append(joint)
             body = joint.parent

@@ -13,7 +13,7 @@ from solver.drawing.head import COLOURS, SIDE, DrawnHead, linear
 from solver.drawing.render import Camera, DrawnBody, Lit, Pixels, render
 from solver.drawing.sheet import MARGIN, Column, SheetLayout, draw_sheet
 from solver.model import SubjectModel
-from solver.neck.anatomy import JOINTS, Muscle, Neck, NeckPose
+from solver.neck.anatomy import JOINTS, Neck, NeckMuscle, NeckPose
 from solver.rig.pictures import ThreadOptions, tubes
 from solver.surface import Floats, Surface, join_surfaces
 
@@ -132,7 +132,7 @@ def _drum(below: Floats, above: Floats, options: NeckPictureOptions) -> Surface:
     return Surface(np.asarray(vertices), np.asarray(made.faces, np.int64))
 
 
-def _on_hyoid(muscle: Muscle, neck: Neck, far_mm: float) -> bool:
+def _on_hyoid(muscle: NeckMuscle, neck: Neck, far_mm: float) -> bool:
     """Tell whether a muscle ends on a hyoid, which files put on vertebrae and people do not have.
 
     It lies ``far_mm`` in front of the joint.
@@ -142,7 +142,7 @@ def _on_hyoid(muscle: Muscle, neck: Neck, far_mm: float) -> bool:
     return bool((vertebra & (muscle.points[:, 2] > joints[:, 2] + far_mm))[[0, -1]].any())
 
 
-def _line(muscle: Muscle, pose: NeckPose, steps: int) -> Floats:
+def _line(muscle: NeckMuscle, pose: NeckPose, steps: int) -> Floats:
     """Return points (steps, 3) evenly along a muscle's path."""
     points = pose.points(muscle.bodies, muscle.points)
     away = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))

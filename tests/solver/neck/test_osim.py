@@ -15,7 +15,7 @@ from solver.neck.builtin import builtin_neck
 from solver.neck.elements import XmlLimits
 from solver.neck.motion import MotionOptions, follow, reachable
 from solver.neck.osim import OsimOptions, read_osim
-from solver.neck.osim_joints import Joint
+from solver.neck.osim_joints import OsimJoint
 from tests.fixtures import data_folder
 from tests.osim_file import mutated, osim_text
 
@@ -91,13 +91,13 @@ def test_a_long_chain_of_bodies_is_walked_once(tmp_path, monkeypatch):
     text = TEXT.replace("</objects></BodySet>", f"{bodies}</objects></BodySet>")
     text = text.replace("</objects></JointSet>", f"{joints}</objects></JointSet>")
     walked = []
-    placed = Joint.placed.fget
+    placed = OsimJoint.placed.fget
 
     def count(joint):
         walked.append(joint.child)
         return placed(joint)
 
-    monkeypatch.setattr(Joint, "placed", property(count))
+    monkeypatch.setattr(OsimJoint, "placed", property(count))
     neck = read(tmp_path, text)
     assert neck.masses[-1] == pytest.approx(builtin_neck().masses[-1] + 0.1)
     assert len(walked) == len(set(walked)) == 109
