@@ -22,6 +22,7 @@ from dataclasses import dataclass, field, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from solver.errors import SolveError
 from solver.fitting.controls import Layout
@@ -391,7 +392,7 @@ class DenseModel:
     hessian: Floats
     gradient: Floats
     q: Floats
-    motion: Floats | None = None
+    motion: NDArray[np.floating] | None = None
     options: FeasibleStepOptions = field(default_factory=FeasibleStepOptions)
 
     def plus(self, matrix: Floats) -> DenseModel:

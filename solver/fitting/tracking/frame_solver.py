@@ -166,7 +166,7 @@ class FrameSolver:
             a = self.face.flesh_controls(pose.a)
             factorization = Factorization(self.face.flesh, self.face.linear, found.x, a)
             self.state = PosedFace(pose, replace(found, factor=factorization))
-        jacobian = Sensitivity(self.face, self.state).by_pose()
+        jacobian = Sensitivity(self.face, self.state).by_pose().in_single_precision()
         self._lagged = _LaggedModel.of(jacobian, data, weights, self.state.x)
         self._age = 0
         return self._lagged
@@ -216,7 +216,7 @@ class _FrameProblem:
         face = self.face
         flesh = self.face.flesh
         pose = point.pose.add(step.change)
-        x = flesh.add_motion(point.x, self.lagged.jacobian.flesh @ step.change)
+        x = flesh.add_motion(point.x, self.lagged.jacobian.flesh_motion(step.change))
         x[face.model.mandible] = face.mandible(pose.b)
         return _correct(face, point, pose, x, self.corrector)
 
