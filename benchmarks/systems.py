@@ -41,9 +41,10 @@ from solver.mechanics.linear import fastest
 from solver.meshio.registered import RegisteredScan
 from solver.model import by_muscle
 from solver.progress import silent
+from solver.rig.expression import ExpressionFit
 from solver.rig.report.systems import SYSTEMS, LipFlesh, SystemMeasures
-from solver.rig.rig import ExpressionFit, Rig
-from solver.rig.systems import fit_scan
+from solver.rig.rig import Rig
+from solver.rig.shape_fits import fit_scan
 from solver.similarity import IDENTITY
 from solver.simulation import Simulator
 from solver.simulation.forces import Drive
