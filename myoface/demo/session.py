@@ -42,7 +42,7 @@ class Session:
     ) -> dict[str, Any]:
         """Upload the scans, build the model, fit training and unseen scans, download everything.
 
-        The rig's sliders are ordered at the end: the service makes them while it runs.
+        Muscle tracks are fitted to all scans, too, so that the report has both beside each other. The rig's sliders are ordered at the end: the service makes them while it runs.
 
         Returns the rig's ``report.json``; the files are in ``folder``. Raises :class:`ApiError`.
         """
@@ -63,6 +63,9 @@ class Session:
         if captures.test:
             unseen = [ids[each] for each in captures.test]
             fit = solve("fit_activations", captures=unseen, rig_id=_result(fit).rig_id)
+        solve("build_tracks")
+        scans = [ids[each] for each in captures.train | captures.test]
+        fit = solve("fit_tracks", captures=scans, rig_id=_result(fit).rig_id)
         self.rig_id = _result(fit).rig_id
         with self.time_phase("download"), transfer_bar("rig") as progress:
             assert self.rig_id is not None, "a fit leaves a rig"
