@@ -105,5 +105,6 @@ class TetFitter:
 def muscle_means(tissue: Tissue, a: Floats) -> Floats:
     """Return the means (m, 6) of tets' activations ``a`` (k, 6) over the flesh of each muscle."""
     volumes = np.asarray(tissue.fractions.sum(axis=0))[:, None]
-    sums = tissue.fractions.T @ a
-    return np.where(volumes > 0.0, sums / np.maximum(volumes, 1e-300), IDENTITY)
+    changes = tissue.fractions.T @ (a - IDENTITY)
+    # muscles without flesh stay at rest
+    return np.asarray(IDENTITY + changes / np.where(volumes > 0.0, volumes, 1.0))
