@@ -26,8 +26,9 @@ import numpy as np
 from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.photo_pair import pair_figures, read_pair
+from benchmarks.simulated_targets import both_sides
 from benchmarks.subjects import COARSE_EDGE_MM, Subject
-from benchmarks.systems import MIXTURES, QUICK_MIXTURES, both_sides
+from benchmarks.systems import MIXTURES, QUICK_MIXTURES
 from solver.anatomy.build import build_subject_model
 from solver.anatomy.skin_points import SkinPoints
 from solver.anatomy.template import Template

@@ -1,4 +1,6 @@
-"""Systems side by side: muscles (S), muscle tracks (T) and plain shapes (B), fitted to one target.
+"""Systems side by side, fitted to one target.
+
+They are muscles (S), single tets (P), muscle tracks (T) and plain shapes (B).
 
 Families of targets, each a mixture of the template's shapes on the subject's own neutral:
 
@@ -6,8 +8,9 @@ Families of targets, each a mixture of the template's shapes on the subject's ow
 is made of out of the bases of B and T. `spoilt` has noise, holes and lips whose vertices slid, and
 is judged by the clean mixture. `simulated` are made by muscles, of a finer mesh, another law and
 contact: no basis holds them, and what lips do is known. Elsewhere lips have no volume to lose: what
-they lose or gain is an error. S is fitted to the subject's training scans before, and has no basis.
-The prices of weights are those of the job.
+they lose or gain is an error. S is fitted to the subject's training scans before; it and P have no
+basis. The prices of weights are those of the job. `rig` has the subject's scans by all systems in
+one rig, and tells what its files weigh and show.
 """
 
 from __future__ import annotations
@@ -24,38 +27,37 @@ from scipy.spatial import cKDTree
 
 from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
+from benchmarks.simulated_targets import SIMULATED, Truths, both_sides, simulated
 from benchmarks.subject_fits import by_geometry
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM, Subject
+from benchmarks.system_rig import rig_figures, rig_tables
 from solver.anatomy.embedding import at_nearest
-from solver.contact import contact_potentials
 from solver.fitting.face import Face
 from solver.fitting.objective import Target
-from solver.fitting.simplex import mix_by_stiffness
-from solver.fitting.stretches import IsochoricActivations, fibre_tensors
+from solver.fitting.per_tet import PerTetOptions
 from solver.jobs.fits import JobPart, WarningLog, fit_unseen
-from solver.kinds.scene import STIFFNESS_PA
-from solver.mechanics.boundary import JAW_FREEDOM
-from solver.mechanics.flesh import IDENTITY as RELAXED
 from solver.mechanics.flesh import LAWS
 from solver.mechanics.linear import fastest
 from solver.meshio.registered import RegisteredScan
-from solver.model import by_muscle
 from solver.progress import silent
-from solver.rig.report.systems import SYSTEMS, LipFlesh, SystemMeasures
-from solver.rig.rig import ExpressionFit, Rig
-from solver.rig.systems import fit_scan
-from solver.similarity import IDENTITY
-from solver.simulation import Simulator
-from solver.simulation.forces import Drive
+from solver.rig import ExpressionFit, Rig, ShapeSystem, System, TetSystem
+from solver.rig.report.certificate import with_round_trips
+from solver.rig.report.systems import SYSTEMS, SystemMeasures
+from solver.rig.shape_fits import fit_scan
+from solver.rig.tet_fits import TetFitter
 from solver.surface import Floats, vertex_normals
-from solver.tracks.basis import MuscleTracks, TrackOptions
+from solver.templates.tables import CaptureSet
+from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackFace, track_potentials
 from solver.tracks.fit import ShapeFace, TrackFitOptions
 from solver.tracks.plain import PlainFace
 from solver.tracks.shapes import template_shapes
 
-PARTS = ("in_span", "left_out", "spoilt", "simulated")
-BOTH = ("Left", "Right")
+FAMILIES = ("in_span", "left_out", "spoilt", "simulated")
+RIG = "rig"  # one of all systems
+PARTS = (*FAMILIES, RIG)
+MOST_EXPRESSIONS = 8  # of that rig
+WITHOUT_BASIS = ("S", "P")  # systems that no shape can be taken from
 # weights of shapes, those with * on both sides
 MIXTURES: Mapping[str, Mapping[str, float]] = {
     "smile": {"mouthSmile*": 0.9, "cheekSquint*": 0.5, "mouthDimple*": 0.3},
@@ -66,16 +68,6 @@ MIXTURES: Mapping[str, Mapping[str, float]] = {
     "crooked": {"mouthLeft": 0.6, "jawLeft": 0.4, "mouthSmileLeft": 0.6, "browDownRight": 0.7},
 }
 QUICK_MIXTURES = 2
-# stretches of muscles, those with * of both sides
-SIMULATED: Mapping[str, Mapping[str, float]] = {
-    "smile": {"zygomaticus_major_*": 0.55, "zygomaticus_minor_*": 0.7, "risorius_*": 0.7},
-    "kiss": {"orbicularis_oris_upper_*": 0.65, "orbicularis_oris_lower_*": 0.65},
-    "frown": {"depressor_anguli_oris_*": 0.55, "mentalis_*": 0.6, "corrugator_*": 0.65},
-    "sneer": {"levator_labii_superioris_*": 0.55, "procerus": 0.7, "nasalis_transverse_*": 0.7},
-    "crooked": {"zygomaticus_major_l": 0.55, "depressor_labii_inferioris_r": 0.6},
-    "call": {"orbicularis_oris_lower_*": 0.8, "frontalis_*": 0.7},
-}
-OPEN = {"call": 0.18}  # of the jaw, rad
 MEANS = ("mean_mm", "p95_mm", "controls_used", "seconds")  # over targets
 WORST = ("lip_volume_percent", "crossing_mm", "inverted")  # of all, without their signs
 
@@ -114,7 +106,9 @@ def run(options: argparse.Namespace) -> Figures:
     """Return the figures of the chosen subject."""
     subject = next(subjects.each(options, [options.subject], options.edge_mm))
     person = _Person(subject, options)
-    families = {part: person.family(part) for part in options.parts}
+    families = {part: person.family(part) for part in options.parts if part != RIG}
+    if RIG in options.parts:
+        families[RIG] = rig_figures(person.rig(subject.captures))
     told = {"edge_mm": options.edge_mm, "w_w": options.w_w}
     return {**told, "subjects": {subject.name: {"tets": len(subject.model.tets), **families}}}
 
@@ -134,7 +128,7 @@ class _Person:
             name: neutral + sum(weight * self._shapes[each] for each, weight in weights.items())
             for name, weights in self._weights.items()
         }
-        self._muscle_fits: dict[str, list[ExpressionFit]] = {}
+        self._without_basis: dict[tuple[str, str], Sequence[ExpressionFit]] = {}
         S = self._model.weights
         if "S" in options.systems:
             face = subjects.bounded(Face(self._model), options)
@@ -145,10 +139,10 @@ class _Person:
             self._muscles = trained.face
             S = trained.face.S
         self._measures = SystemMeasures.of(Rig(self._model, S, ()))
-        self._truths = {part: _Truths(self._clean, {}) for part in PARTS if part != "simulated"}
+        self._truths = {part: Truths(self._clean, {}) for part in FAMILIES if part != "simulated"}
         if "simulated" in options.parts:
             made_by = list(SIMULATED)[: QUICK_MIXTURES if options.quick else None]
-            self._truths["simulated"] = _simulated(options, made_by)
+            self._truths["simulated"] = simulated(options, made_by)
 
     def family(self, part: str) -> Figures:
         """Return every system's figures of a family, of all targets and of each."""
@@ -164,12 +158,11 @@ class _Person:
 
     def _fits(self, part: str) -> Iterator[tuple[str, str, ExpressionFit]]:
         scans = self._scans(part)
-        targets = self._targets(part)
-        if "S" in self._options.systems:
-            for fit in self._by_muscles(part):
-                yield fit.name, "S", fit
+        targets = self._targets(scans)
         for system in self._options.systems:
-            if system == "S":
+            if system in WITHOUT_BASIS:
+                for fit in self._fits_without_basis(system, part):
+                    yield fit.name, system, fit
                 continue
             face: ShapeFace[Any] | None = None
             for name, scan in scans.items():
@@ -188,19 +181,56 @@ class _Person:
         potentials = track_potentials(self._model)
         return TrackFace(self._model, tracks, potentials, linear=fastest())
 
-    def _by_muscles(self, part: str) -> list[ExpressionFit]:
-        """Return the fits by muscles, which have no basis that could lack a shape."""
-        key = "in_span" if part == "left_out" else part
-        if key not in self._muscle_fits:
-            parts = self._scans(part), self._targets(part), WarningLog(self._model, silent)
-            self._muscle_fits[key] = fit_unseen(self._muscles, *parts, JobPart(0.0, 1.0))
-        return self._muscle_fits[key]
+    def _fits_without_basis(self, system: str, part: str) -> Sequence[ExpressionFit]:
+        """Return the fits by muscles or tets, which have no basis that could lack a shape."""
+        key = system, "in_span" if part == "left_out" else part
+        if key not in self._without_basis:
+            scans = self._scans(part)
+            by_tets = system == "P"
+            found = self._by_tets(scans).expressions if by_tets else self._by_muscles(scans)
+            self._without_basis[key] = found
+        return self._without_basis[key]
 
-    def _targets(self, part: str) -> dict[str, Target]:
+    def _by_muscles(self, scans: Mapping[str, RegisteredScan]) -> Sequence[ExpressionFit]:
+        parts = scans, self._targets(scans), WarningLog(self._model, silent)
+        return fit_unseen(self._muscles, *parts, JobPart(0.0, 1.0))
+
+    def _by_tets(self, scans: Mapping[str, RegisteredScan]) -> TetSystem:
+        stop = PerTetOptions(max_iterations=10) if self._options.quick else PerTetOptions()
+        fitter = TetFitter(self._model, self._targets(scans), fastest(), stop)
+        fitted = [fitter.fit(name, scan) for name, scan in scans.items()]
+        return TetSystem(tuple(fitted), fitter.tets)
+
+    def rig(self, captures: CaptureSet) -> Rig:
+        """Return a rig of the subject's scans by all systems that are asked for."""
+        most = QUICK_MIXTURES if self._options.quick else MOST_EXPRESSIONS
+        chosen = [*(captures.train | captures.test).items()][:most]
+        whole = np.ones(len(self._model.skin.vertices))
+        scans = {name: RegisteredScan(skin.vertices, whole) for name, skin in chosen}
+        targets = self._targets(scans)
+        systems: dict[str, System] = {}
+        for letter in self._options.systems:
+            if letter == "P":
+                systems[letter] = self._by_tets(scans)
+            elif letter != "S":
+                face = self._face(letter, {})
+                fitted = [
+                    fit_scan(face, name, scan, targets[name], self._fit_options)
+                    for name, scan in scans.items()
+                ]
+                systems[letter] = ShapeSystem(tuple(fitted), face.tracks.names)
+        muscles: Sequence[ExpressionFit] = ()
+        S = self._model.weights
+        if "S" in self._options.systems:
+            S = self._muscles.S
+            muscles = with_round_trips(self._muscles, tuple(self._by_muscles(scans)))
+        return Rig(self._model, S, tuple(muscles), systems=systems)
+
+    def _targets(self, scans: Mapping[str, RegisteredScan]) -> dict[str, Target]:
         face = self._model.face
         return {
             name: Target.from_points(scan.vertices[face], scan.confidence[face])
-            for name, scan in self._scans(part).items()
+            for name, scan in scans.items()
         }
 
     def _scans(self, part: str) -> dict[str, RegisteredScan]:
@@ -235,7 +265,7 @@ class _Person:
             confidence[np.linalg.norm(neutral - middle, axis=1) < spoil.hole_mm] = 0.0
         return RegisteredScan(points, confidence)
 
-    def _judged(self, fit: ExpressionFit, truths: _Truths) -> Figures:
+    def _judged(self, fit: ExpressionFit, truths: Truths) -> Figures:
         """Return the figures of a fit by its distance to the clean target."""
         clean = truths.skins[fit.name]
         error = np.full(len(clean), np.nan)
@@ -246,61 +276,6 @@ class _Person:
             found["lip_volume_percent"] -= 1e2 * truths.lips.get(fit.name, 0.0)
         keys = (*MEANS, *WORST, "controls", "iterations", "status")
         return {key: found[key] for key in keys}
-
-
-@dataclass(frozen=True)
-class _Truths:
-    """Clean targets by name, and the change of the lips' volume in them where it is not none."""
-
-    skins: Mapping[str, Floats]
-    lips: Mapping[str, float]
-
-
-def _simulated(options: argparse.Namespace, names: Sequence[str]) -> _Truths:
-    """Contract muscles of a subject's finer mesh, with contact."""
-    subject = next(subjects.each(options, [options.subject], options.truth_edge_mm))
-    model = subject.model
-    S = mix_by_stiffness(model.weights, TrackOptions.firmness)
-    material = LAWS[options.truth_law].in_pascal(STIFFNESS_PA)
-    face = Face(model, S, material=material, linear=fastest())
-    lips = LipFlesh.of(model)
-    driven = fibre_tensors(model, face.flesh.volumes, S)
-    with_fibres = np.isfinite(driven).all(axis=(1, 2))
-    shortening = IsochoricActivations.of(driven[with_fibres])
-    still = Drive(0.0, face.flesh.passive(), np.zeros(JAW_FREEDOM), IDENTITY)
-    skins = {}
-    changes = {}
-    for name in names:
-        given = by_muscle(both_sides(SIMULATED[name], "lr"), model.muscle_names)
-        stretch = np.array([given.get(muscle, 1.0) for muscle in model.muscle_names])
-        a = np.tile(RELAXED, (model.muscle_count, 1))
-        a[with_fibres] = shortening(stretch[with_fibres])
-        jaw = np.zeros(JAW_FREEDOM)
-        jaw[0] = OPEN.get(name, 0.0)
-        simulator = Simulator(
-            face,
-            contact_potentials(model, STIFFNESS_PA),
-            [],
-            dynamic=False,
-            density=np.ones(len(model.tets)),
-            linear=fastest(),
-        )
-        goal = Drive(1.0, face.flesh_controls(a), jaw, IDENTITY)
-        x = simulator.step(simulator.rest(still), still, goal).motion.x
-        skins[name] = face.whole_skin(x, jaw)
-        changes[name] = 0.0 if lips is None else lips.change(x)
-        moved = np.linalg.norm(skins[name] - model.skin.vertices, axis=1)[model.face]
-        log.info("%s moves by %.2f mm, %.1f at most", name, moved.mean(), moved.max())
-    return _Truths(skins, changes)
-
-
-def both_sides(mixture: Mapping[str, float], sides: Sequence[str] = BOTH) -> dict[str, float]:
-    """Return values by name, those with * for both sides."""
-    return {
-        name.replace("*", side): weight
-        for name, weight in mixture.items()
-        for side in (sides if "*" in name else ("",))
-    }
 
 
 def _summary(targets: list[Figures]) -> Figures:
@@ -333,7 +308,7 @@ def section(figures: Figures) -> Section:
     """Return the section of docs/science/benchmarks.md."""
     parts: list[Table | str] = []
     for name, person in figures["subjects"].items():
-        for part in PARTS:
+        for part in FAMILIES:
             if part in person:
                 rows = [
                     [f"{system}, {SYSTEMS[system]}", *(found.get(key) for key in COLUMNS)]
@@ -342,11 +317,14 @@ def section(figures: Figures) -> Section:
                 ]
                 caption = f"{name}, {person['tets']} tets, `{part}`:"
                 parts.append(Table(["system", *COLUMNS.values()], rows, caption))
+        if RIG in person:
+            parts += rig_tables(name, person[RIG])
     return Section(
         title="Systems side by side",
         compared=(
-            "Muscles (S, fitted to the training scans before), muscle tracks (T) and plain shapes "
-            f"(B) fitted to mixtures of the template's shapes, tets of {figures['edge_mm']:g} mm, "
+            "Muscles (S, fitted to the training scans before), activations of single tets (P), "
+            "muscle tracks (T) and plain shapes (B) fitted to mixtures of the template's shapes, "
+            f"tets of {figures['edge_mm']:g} mm, "
             f"w_w {figures['w_w']:g} mm^2: `in_span` as they are, so that plain shapes made them; "
             "`left_out` without the shapes of the target in the bases of T and B; `spoilt` with "
             f"{Spoil.noise_mm:g} mm of noise, holes over {100 * Spoil.holes:g} % of the face and "

@@ -26,7 +26,7 @@ ICT_BARS = Bars(train_mm=0.85, test_mm=0.90)
 QUICK_OPTIONS: Options = {
     "build_model": {"edge_mm": 16.0},
     "fit_geometry": {"rounds": 2},
-    "fit_activations": {"max_iterations": 8},
+    "fit_tracks": {"max_iterations": 8},
 }
 QUICK_TRAIN = 2
 QUICK_TEST = 1

@@ -42,7 +42,8 @@ class Session:
     ) -> dict[str, Any]:
         """Upload the scans, build the model, fit training and unseen scans, download everything.
 
-        The rig's sliders are ordered at the end: the service makes them while it runs.
+        Unseen scans are fitted by muscles and by muscle tracks, so that the report has both beside
+        each other. The rig's sliders are ordered at the end: the service makes them while it runs.
 
         Returns the rig's ``report.json``; the files are in ``folder``. Raises :class:`ApiError`.
         """
@@ -55,14 +56,17 @@ class Session:
             subject = self.client.create_subject(name, template_id=template_id)
             ids = self._upload(subject.id, captures)
 
-        def solve(kind: str, **inputs: Any) -> Job:
-            return self._solve(kind, subject.id, options=options.get(kind), **inputs)
+        def solve(kind: str, asked: Mapping[str, Any] | None = None, **inputs: Any) -> Job:
+            chosen = {**(asked or {}), **options.get(kind, {})}
+            return self._solve(kind, subject.id, options=chosen, **inputs)
 
         solve("build_model")
         fit = solve("fit_geometry", captures=[ids[each] for each in captures.train])
         if captures.test:
+            solve("build_tracks")
             unseen = [ids[each] for each in captures.test]
-            fit = solve("fit_activations", captures=unseen, rig_id=_result(fit).rig_id)
+            on = {"captures": unseen, "rig_id": _result(fit).rig_id}
+            fit = solve("fit_tracks", {"muscles": True}, **on)
         self.rig_id = _result(fit).rig_id
         with self.time_phase("download"), transfer_bar("rig") as progress:
             assert self.rig_id is not None, "a fit leaves a rig"

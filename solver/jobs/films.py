@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ from solver.photo.camera import PinholeCamera
 from solver.photo.expression import PhotoExpression, marks_of, read_neutral
 from solver.photo.film import FilmFrame, FilmOptions, FilmTracker, as_expression, find_focal
 from solver.photo.film_marks import FilmMarks, find_marks
-from solver.photo.footage import Footage, Pictures, open_film
+from solver.photo.footage import Footage, Pictures, opened_film
 from solver.photo.mesh_points import landmark_points
 from solver.photo.oddities import find_closed_eyes
 from solver.photo.photo import Photo
@@ -199,12 +199,23 @@ def fit_film(
     are there. Raises :class:`~solver.errors.InputError`: ``film.*``, ``photo.*``,
     ``options.frames``, and ``sequence.nothing`` where no frame could be fitted.
     """
+    with ExitStack() as opened:
+        source = _open(task, [*landmark_vertices(template)], opened)
+        return _fit(task, source, driven, face, landmark_points(template), options)
+
+
+def _fit(
+    task: Task[FitPhoto],
+    source: Footage,
+    driven: ShapeFace[Any],
+    face: Face,
+    points: SkinPoints,
+    options: FilmOptions,
+) -> list[Path]:
     given = task.options
     out = task.out
     progress = task.progress
     model = face.model
-    points = landmark_points(template)
-    source = _open(task, [*landmark_vertices(template)])
     numbers = frame_numbers(source.name, range(len(source)), given)
     neutral = _neutral(given, source)
     searched = sorted({*numbers, *([] if neutral is None else [neutral])})
@@ -240,10 +251,10 @@ def fit_film(
     return [*files, *animated, picture]
 
 
-def _open(task: Task[FitPhoto], landmarks: Sequence[str]) -> Footage:
-    """Return the job's pictures: a film's file or folder, or photographs in their order."""
+def _open(task: Task[FitPhoto], landmarks: Sequence[str], opened: ExitStack) -> Footage:
+    """Return the job's pictures: a film's file, folder or ZIP, or photographs in their order."""
     if "film" in task.inputs:
-        return open_film(task.inputs["film"], landmarks)
+        return opened.enter_context(opened_film(task.inputs["film"], landmarks))
     if not task.captures:
         raise InputError("job.missing", "the job needs a film, or its pictures", expected="film")
     return Pictures("the film", task.captures, task.facts, task.masks, landmarks)

@@ -36,7 +36,7 @@ from solver.photo.photo import Photo
 from solver.photo.placed import Reprojection, find_contradiction, reprojections
 from solver.photo.report import photo_figures, photo_picture
 from solver.progress import Step, part_of
-from solver.rig import Rig, System, SystemFit
+from solver.rig import Rig, ShapeFit, ShapeSystem
 from solver.rig.report import known_information
 from solver.rig.report.systems import SYSTEMS
 from solver.storage import write_json
@@ -103,7 +103,7 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     fits.refuse_failures(fitted)
     scans = {fit.name: fit.target for fit in fitted}
     systems = {name: system.without(scans) for name, system in rig.systems.items()}
-    made = System(tracks.names, tuple(fitted))
+    made = ShapeSystem(tuple(fitted), tracks.names)
     systems[letter] = systems[letter].replaced(made) if letter in systems else made
     seconds = {**rig.seconds, SYSTEMS[letter]: time.perf_counter() - begun}
     whole = replace(rig, seconds=seconds, notices=log.general, systems=systems)
@@ -124,7 +124,7 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     photo_picture(model, sheets, points, own[1])
     ending = part_of(progress, 0.5)
     information = known_information(rig)
-    files = fits.leave_systems(face, whole, settings, task.out, ending, information)
+    files = fits.leave_rig(face, whole, settings, task.out, ending, information)
     return [*files, *own]
 
 
@@ -165,7 +165,7 @@ def _options(given: FitPhoto) -> ExpressionOptions:
 class _Fitted:
     """An expression for the rig, and what it is made of; None where nothing was found."""
 
-    shape: SystemFit
+    shape: ShapeFit
     result: PhotoExpression[Any] | None
     placed: Mapping[str, Reprojection] = field(default_factory=dict)
 
@@ -197,11 +197,11 @@ class _Fitter:
         steps = found.landmarks.steps + found.fit.steps
         return _Fitted(replace(shape, seconds=seconds, iterations=steps), found, placed)
 
-    def _shape(self, name: str, state: State, notices: tuple[Finding, ...]) -> SystemFit:
+    def _shape(self, name: str, state: State, notices: tuple[Finding, ...]) -> ShapeFit:
         """Return an expression without a scan: its target is nowhere."""
         skin = self.face.skin(state)
         nowhere = np.full_like(skin, np.nan)
-        return SystemFit(
+        return ShapeFit(
             name,
             "test",
             state.pose.activations,

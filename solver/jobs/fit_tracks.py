@@ -18,11 +18,13 @@ from solver.jobs import Task, fits
 from solver.kinds.fit_tracks import FitTracks
 from solver.mechanics.linear import fastest
 from solver.meshio.registered import RegisteredScan
+from solver.model import SubjectModel
 from solver.progress import Step, part_of
-from solver.rig import Rig, System
+from solver.rig import Rig, ShapeSystem, System, TetSystem
 from solver.rig.report import known_information
 from solver.rig.report.systems import SYSTEMS
-from solver.rig.systems import find_crossed, fit_scan
+from solver.rig.shape_fits import find_crossed, fit_scan
+from solver.rig.tet_fits import TetFitter
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackFace, track_potentials
 from solver.tracks.fit import ShapeFace, State, TrackFitOptions
@@ -32,7 +34,7 @@ BOUNDS = {"unit": (0.0, 1.0), "free": (-np.inf, np.inf)}
 
 
 def run(task: Task[FitTracks]) -> list[Path]:
-    """Fit scans by tracks, and by plain shapes and muscles if asked for; write the new rig's files.
+    """Fit scans by tracks, and by other systems if asked for; write the new rig's files.
 
     The rig's expressions are carried over in all systems; a new capture of the same name replaces
     the old. Raises :class:`~solver.errors.InputError`: ``tracks.*``, ``scan.*``, ``rig.*``.
@@ -64,10 +66,16 @@ def run(task: Task[FitTracks]) -> list[Path]:
     if given.plain_shapes:
         faces["B"] = PlainFace(model, tracks)
     systems = fits.carried_systems(rig, scans)
-    for number, (letter, driven) in enumerate(faces.items()):
+    parts = [*faces, "P"] if given.per_tet else [*faces]
+    for number, letter in enumerate(parts):
         begin = time.perf_counter()
-        span = fits.JobPart(0.2, 0.5).part(number, len(faces))
-        found = _fit_system(driven, SYSTEMS[letter], scans, targets, given, log.branch(), span)
+        span = fits.JobPart(0.2, 0.5).part(number, len(parts))
+        about = (scans, targets, given, log.branch(), span)
+        found: System
+        if letter == "P":
+            found = _fit_tets(model, *about)
+        else:
+            found = _fit_shapes(faces[letter], SYSTEMS[letter], *about)
         systems[letter] = systems[letter].replaced(found) if letter in systems else found
         seconds[SYSTEMS[letter]] = time.perf_counter() - begin
     options = given.model_dump(exclude={"linear_solver"})
@@ -77,7 +85,7 @@ def run(task: Task[FitTracks]) -> list[Path]:
         known_information(parent) if _training_names(rig) == _training_names(parent) else None
     )
     ending = part_of(progress, 0.5)
-    return fits.leave_systems(face, whole, settings, task.out, ending, information)
+    return fits.leave_rig(face, whole, settings, task.out, ending, information)
 
 
 def _training_names(rig: Rig) -> list[str]:
@@ -120,7 +128,7 @@ def _with_muscles(
     return replace(rig, expressions=(*kept, *fitted))
 
 
-def _fit_system(
+def _fit_shapes(
     driven: ShapeFace[State],
     name: str,
     scans: Mapping[str, RegisteredScan],
@@ -128,7 +136,7 @@ def _fit_system(
     given: FitTracks,
     log: fits.WarningLog,
     span: fits.JobPart,
-) -> System:
+) -> ShapeSystem:
     """Fit weights and jaw to every scan; ``name`` is that of the system."""
     options = TrackFitOptions(given.w_w, given.w_j, BOUNDS[given.bounds])
     options = replace(options, stop=replace(options.stop, iterations=given.max_iterations))
@@ -140,4 +148,26 @@ def _fit_system(
         noticed = [*found.notices, *find_crossed(driven.face.model, found)]
         fitted.append(log.about(found, part.end, noticed))
     fits.refuse_failures(fitted)
-    return System(driven.tracks.names, tuple(fitted))
+    return ShapeSystem(tuple(fitted), driven.tracks.names)
+
+
+def _fit_tets(
+    model: SubjectModel,
+    scans: Mapping[str, RegisteredScan],
+    targets: Mapping[str, Target],
+    given: FitTracks,
+    log: fits.WarningLog,
+    span: fits.JobPart,
+) -> TetSystem:
+    """Fit activations of single tets and the jaw to every scan."""
+    fitter = TetFitter(model, targets, given.linear_solver or fastest())
+    fitted = []
+    for number, (name, scan) in enumerate(scans.items()):
+        part = span.part(number, len(scans))
+        phase = SYSTEMS["P"].replace(" ", "_")
+        found = fitter.fit(
+            name, scan, log.listener(phase, name, part, fitter.options.max_iterations)
+        )
+        fitted.append(log.about(found, part.end, found.notices))
+    fits.refuse_failures(fitted)
+    return TetSystem(tuple(fitted), fitter.tets)

@@ -203,9 +203,10 @@ def leave_rig(
     progress: ProgressCallback,
     information: MuscleInformation | None = None,
 ) -> list[Path]:
-    """Check what was fitted and write the rig's files; ``progress`` counts from 0 to 1 here.
+    """Check what was fitted and write the rig's files, and those that show its systems.
 
-    ``information`` is that of a parent with the same S and training scans, where there is one.
+    ``progress`` counts from 0 to 1 here. ``information`` is that of a parent with the same S and
+    training scans, where there is one.
     """
 
     def listen(name: str, number: int) -> None:
@@ -219,25 +220,12 @@ def leave_rig(
     rig = replace(rig, expressions=fits, seconds=seconds)
     progress(Step("export", 0.85, message="certificate, exports and pictures"))
     files = write_rig(rig, certify(face, rig, settings, information), out)
+    if rig.systems:
+        files.append(export(rig, "systems", out / "systems.glb"))
+    for letter in rig.systems:
+        files.append(export(rig, "view", out / f"view_{letter}.bin", {"system": letter}))
     progress(Step("done", 1.0))
     return files
-
-
-def leave_systems(
-    face: Face,
-    rig: Rig,
-    settings: dict[str, Any],
-    out: Path,
-    progress: ProgressCallback,
-    information: MuscleInformation | None = None,
-) -> list[Path]:
-    """Write a rig's files as :func:`leave_rig`, and those that show its systems."""
-    files = leave_rig(face, rig, settings, out, progress, information)
-    views = [
-        export(rig, "view", out / f"view_{letter}.bin", {"system": letter})
-        for letter in rig.systems
-    ]
-    return [*files, export(rig, "systems", out / "systems.glb"), *views]
 
 
 # Registered scans as targets: the distance to their points, or to their surface.

@@ -2,7 +2,7 @@
 
 Weights of the template's shapes and a jaw for every scan, through flesh that keeps its volume and
 lips that meet. The new rig is the parent with these expressions beside those of its muscles, and
-those of plain shapes as well, if asked for; its report compares them.
+those of plain shapes and of single tets as well, if asked for; its report compares them.
 """
 
 from typing import Literal
@@ -43,18 +43,41 @@ class FitTracks(FitOptions):
         description="fit muscles to those of the scans that the rig has not, too, as "
         "fit_activations does by default",
     )
+    per_tet: bool = Field(
+        default=False,
+        description="fit activations of single tets to the same scans, too: the model that muscle "
+        "geometry is compared with; an expression takes minutes",
+    )
     max_iterations: Whole = Field(
-        default=20, ge=1, le=500, description="Gauss-Newton iterations per expression at most"
+        default=20,
+        ge=1,
+        le=500,
+        description="Gauss-Newton iterations per expression at most, by weights",
     )
     linear_solver: LinearSolver = None
 
 
+READS = ("rig", "captures", "tracks")
+
 KIND = Kind(
     queue="short",
-    reads=("rig", "captures", "tracks"),
+    reads=READS,
     leaves="rig",
     report="report.json",
     result="rig.glb",
     folder="rig-new",
     options=FitTracks,
+    variants=(
+        (
+            "per_tet",
+            Kind(
+                queue="long",
+                reads=READS,
+                leaves="rig",
+                report="report.json",
+                result="rig.glb",
+                options=FitTracks,
+            ),
+        ),
+    ),
 )

@@ -83,7 +83,7 @@ INPUTS: Mapping[str, Input] = {
             _named_files("photo", "NAME=FILE, a photograph, JPEG or PNG; repeatable"),
             _named_files("facts", "NAME=FILE, what is known of the photograph of this name, JSON"),
             _named_files("mask", "NAME=FILE, a PNG that is white where the photograph counts"),
-            _option("film", "MP4 or MOV, or a folder of pictures", form="file or folder"),
+            _option("film", "MP4 or MOV, or a folder or ZIP of pictures", form="file or folder"),
         )
     ),
     "model": Input(
@@ -172,7 +172,7 @@ FILES: Mapping[str, LeftFile] = {
 # page; ``scripts/client_roles.py`` writes them down for the client, which is published alone.
 
 MESHES = (".obj", ".ply", ".stl", ".glb")
-ARCHIVES = (".zip",)  # of a mesh with its MTL files and images
+ARCHIVES = (".zip",)  # of a mesh with its MTL files and images, or of the pictures of a film
 CLOUDS = (".xyz", ".pts", ".asc", ".csv", ".txt", ".xyzn", ".xyzrgb")
 PICTURES = (".jpg", ".jpeg", ".png")
 LANDMARKS = (".json", ".ljson", ".csv")
@@ -251,7 +251,7 @@ ROLES: Mapping[str, Role] = {
     "film": Role(
         title="Film",
         noun="a film",
-        formats=FILMS,
+        formats=(*FILMS, *ARCHIVES),  # a ZIP of pictures
         own_formats=FILMS,
         then="a face is fitted to its frames (fit_photo with sequence)",
     ),

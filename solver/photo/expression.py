@@ -64,8 +64,9 @@ class ShadingOptions:
     """The comparison of a picture with the shaded skin."""
 
     detail_mm: float = 1.0  # what is finer in the picture is left out
-    # standard deviation of a channel, by the mean of the skin's: brows, a beard and gloss included
-    noise: float = 0.3
+    # least standard deviation of a channel, by the mean of the skin's; more where light and albedo
+    # leave more of a picture, as of brows, a beard and gloss
+    least_noise: float = 0.05
     independent: int = 20  # of so many samples each counts by itself
     samples: PixelOptions = field(default_factory=PixelOptions)
     light: LightOptions = field(default_factory=LightOptions)
@@ -193,6 +194,7 @@ def shading_of(
 ) -> tuple[ImageTerm, Appearance]:
     """Return the term of a picture's shading, and light and albedo, found unless ``given``.
 
+    Its noise is what these leave of the picture on the ``skin`` that the fit begins with.
     ``vertices`` of the skin are compared; ``blocked`` (V, 9) is what it blocks of the light.
     Raises :class:`InputError` (``photo.no_skin``) where the picture shows none of it.
     """
@@ -211,12 +213,13 @@ def shading_of(
     image = SmoothImage.blurred(pixels, detail)
     colours = image.at(camera.project(samples.of(skin.vertices))[:, :2])
     look = given or find_appearance(skin, samples, colours, blocked, options.light)
-    count = max(len(samples.corners) / options.independent, 1.0)
-    noise = options.noise * float(colours.mean()) * np.sqrt(count)
     term = ShadingTerm(
-        image, skin.faces, samples, samples.of(look.albedo), samples.of(blocked), look.light, noise
+        image, skin.faces, samples, samples.of(look.albedo), samples.of(blocked), look.light
     )
-    return term, look
+    left = np.sqrt(np.mean(term.residual(skin.vertices, camera) ** 2))
+    noise = max(options.least_noise * float(colours.mean()), float(left))
+    count = max(len(samples.corners) / options.independent, 1.0)
+    return replace(term, noise=noise * np.sqrt(count)), look
 
 
 def place_views(

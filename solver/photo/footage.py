@@ -1,4 +1,4 @@
-"""The pictures of a film: photographs in their order, or a file of MP4 or MOV.
+"""The pictures of a film: photographs in their order or a ZIP of them, or a file of MP4 or MOV.
 
 Frames come one after the other and are never all in memory; to go back is to begin anew.
 """
@@ -6,21 +6,26 @@ Frames come one after the other and are never all in memory; to go back is to be
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-from solver.errors import InputError
+from solver.errors import InputError, file_error, quote_names
 from solver.kinds import MOST_FILM_FRAMES, ROLES
+from solver.kinds.inputs import ARCHIVES
+from solver.meshio.archive import ArchiveLimits, Member, unpacked
 from solver.photo.photo import Photo
 from solver.photo.picture import LEAST_SIDE, MOST_PIXELS
 from solver.photo.read import read_photo
 from solver.scans.film import FilmLimits, FilmPicture, decode_film
 
 LIMITS = FilmLimits(LEAST_SIDE, MOST_PIXELS, MOST_FILM_FRAMES)
+# a JSON beside each picture
+ARCHIVE = ArchiveLimits(4 << 30, 2 * MOST_FILM_FRAMES, "film.unreadable", "its pictures")
 
 
 class Footage(Protocol):
@@ -118,17 +123,51 @@ class FilmFile:
         raise InputError("film.unreadable", message, file=self.name)
 
 
-def open_film(path: Path, landmarks: Collection[str] = ()) -> Footage:
-    """Return the frames of a file, or of a folder of pictures; raises as :class:`FilmFile`.
+@contextmanager
+def opened_film(path: Path, landmarks: Collection[str] = ()) -> Iterator[Footage]:
+    """Give the frames of a file, a folder of pictures, or a ZIP of them, for a while unpacked.
 
-    What is known of a picture of a folder lies beside it: JSON of the same name. ``landmarks`` are
-    a template's own.
+    Raises as :func:`open_film`, and for a ZIP that cannot be unpacked, holds pictures in several
+    folders or unpacks to too much ``film.unreadable``.
     """
-    if not path.is_dir():
-        return FilmFile(path)
+    if path.suffix.lower() not in ARCHIVES or path.is_dir():
+        yield open_film(path, landmarks)
+        return
+    kinds = (*ROLES["photo"].formats, *ROLES["photo"].landmarks)
+
+    def pictures(members: Sequence[Member]) -> list[Member]:
+        """Return the pictures of an archive and what is known of them."""
+        chosen = [each for each in members if each[0].suffix.lower() in kinds]
+        folders = sorted({str(place.parent) for place, _ in chosen})
+        if len(folders) > 1:
+            reason = f"a ZIP of a film has pictures in one folder, not in {quote_names(folders)}"
+            raise file_error(ARCHIVE.code, path.name, reason, found=folders)
+        return chosen
+
+    with unpacked(path, ARCHIVE, pictures) as folder:
+        yield open_pictures(folder, landmarks, path.name)
+
+
+def open_film(path: Path, landmarks: Collection[str] = ()) -> Footage:
+    """Return the frames of a file, or of a folder of pictures.
+
+    Raises as :class:`FilmFile` and :func:`open_pictures`.
+    """
+    return open_pictures(path, landmarks, path.name) if path.is_dir() else FilmFile(path)
+
+
+def open_pictures(path: Path, landmarks: Collection[str], film: str) -> Pictures:
+    """Return the frames of a folder of pictures, a ``film`` that is called so.
+
+    What is known of a picture lies beside it: JSON of the same name. ``landmarks`` are a template's
+    own. Raises :class:`InputError`: ``film.unreadable`` without any, ``film.long`` for too many.
+    """
     pictures = [each for each in path.iterdir() if each.suffix.lower() in ROLES["photo"].formats]
     paths = {each.stem: each for each in pictures}
     facts = {name: each for name in paths if (each := path / f"{name}.json").is_file()}
     if not paths:
-        raise InputError("film.unreadable", f"{path.name} has no pictures", file=path.name)
-    return Pictures(path.name, paths, facts, landmarks=landmarks)
+        raise InputError("film.unreadable", f"{film} has no pictures", file=film)
+    if len(paths) > MOST_FILM_FRAMES:
+        message = f"{film} has {len(paths)} pictures, more than {MOST_FILM_FRAMES}"
+        raise InputError("film.long", message, file=film, found=len(paths))
+    return Pictures(film, paths, facts, landmarks=landmarks)

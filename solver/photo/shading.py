@@ -152,7 +152,7 @@ class ShadingTerm(ImageTerm):
     albedo: Floats  # (n, 3) of the samples
     blocked: Floats  # (n, 9) of the light, at the samples
     light: Floats  # (9, 3)
-    noise: float  # standard deviation of a channel, of linear RGB
+    noise: float = 1.0  # standard deviation of a channel, of linear RGB
 
     def residual(self, skin: Floats, camera: PinholeCamera) -> Floats:
         """See :class:`ImageTerm`: (3 n,), the channels of each sample in turn."""

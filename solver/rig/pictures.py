@@ -26,8 +26,8 @@ from solver.drawing.head import (
 from solver.drawing.render import GAMMA, Camera, DrawnBody, Lit, render, render_bust
 from solver.drawing.sheet import HEADER, INK, MARGIN, Colour, Column, Sheet, SheetLayout, draw_sheet
 from solver.model import SubjectModel
+from solver.rig.expression import ROLES, ExpressionFit
 from solver.rig.frames import SequenceFrame
-from solver.rig.rig import ROLES, ExpressionFit
 from solver.surface import (
     Floats,
     Ints,

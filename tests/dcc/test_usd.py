@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from solver.errors import SolveError
 from solver.mechanics.boundary import move_jaw
-from solver.rig import ExpressionFit, Rig
+from solver.rig import ExpressionFit, Rig, ShapeFit, ShapeSystem, TetFit, TetSystem
+from solver.rig.exporters import export_measured
 from solver.rig.frames import MarkerFrame
 from solver.rig.frames.animation_gltf import AnimatedSkin
 from solver.similarity import small_motion
@@ -24,7 +26,7 @@ from tests.solver.usd import played
 pxr = pytest.importorskip("pxr", reason="USD is not installed: pip install 'myoface[usd]'")
 from pxr import Usd, UsdGeom, UsdSkel, UsdValidation  # noqa: E402
 
-from solver.rig.exporters.usd import write, write_sequence  # noqa: E402
+from solver.rig.exporters.usd import read_back, write, write_sequence  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
 EXPRESSIONS = {
@@ -152,6 +154,43 @@ def test_the_command_converts_a_rig_s_folder(rig: Rig, tmp_path: Path) -> None:
     child = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert child.returncode == 1
     assert "rig.fbx does not end in .usdc, .usda, .usd" in child.stderr
+
+
+def test_every_system_is_a_variant(rig: Rig, tmp_path: Path) -> None:
+    """A rig's muscles are shown by default, each other system when it is chosen."""
+    smile, ah = rig.expressions[:2]
+    held = {each.name: getattr(smile, each.name) for each in fields(ExpressionFit)}
+    skins = {"smile": 0.5 * (smile.skin + rig.model.skin.vertices), "Ah, wide-open": ah.skin}
+    own = {"weights": np.zeros(1), "jaw_on_top": np.zeros(5), "lengths": np.zeros(2)}
+    tracks = [ShapeFit(**{**held, "name": name, "skin": skins[name]}, **own) for name in skins]
+    tets = TetFit(**{**held, "skin": ah.skin}, tet_activations=np.zeros((1, 6)))
+    systems = {
+        "T": ShapeSystem(tuple(tracks), ("a",)),
+        "P": TetSystem((tets,), np.zeros(1, np.int64)),
+    }
+    several = replace(rig, expressions=(smile,), systems=systems)
+    made = export_measured(several, "usd", tmp_path / "rig.usdc")
+    assert made.figures["max_mm"] < 2e-3
+    stage = Usd.Stage.Open(str(made.path))
+    variants = stage.GetDefaultPrim().GetVariantSet("system")
+    assert set(variants.GetVariantNames()) == {"S", "T", "P"}
+    assert variants.GetVariantSelection() == "S"
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0.0, 2 * 48.0)
+    wanted = {"S": {"smile": smile.skin}, "T": skins, "P": {"smile": ah.skin}}
+    for system, expected in wanted.items():
+        variants.SetVariantSelection(system)
+        assert faults(stage) == []
+        shown = tmp_path / f"{system}.usdc"
+        stage.Export(str(shown))
+        points = played(shown)
+        for name, frame in (("smile", 24.0), ("Ah, wide-open", 72.0)):
+            skin = expected.get(name, rig.model.skin.vertices)
+            np.testing.assert_allclose(points("Skin", frame), skin, atol=2e-3)
+        binding = UsdSkel.BindingAPI(stage.GetPrimAtPath("/Face/Skin"))
+        assert list(binding.GetBlendShapesAttr().Get()) == list(expected)
+    with pytest.raises(SolveError) as raised:
+        read_back(replace(several, systems={"P": systems["T"]}), made.path)
+    assert raised.value.code == "file.differs"
 
 
 STATUS = ("fitted", "kept", "predicted", "smoothed", "fitted")

@@ -10,7 +10,7 @@ each step for (a, b) every muscle's contraction is found for the activations at 
 a and b are solved for together (global; :mod:`.saddle`). :mod:`.descent` is the way down.
 """
 
-from solver.fitting.per_tet.descent import PerTetFit, fit
+from solver.fitting.per_tet.descent import PerTetFit, Status, fit
 from solver.fitting.per_tet.objective import PER_TET, Objective, PerTetOptions, PerTetPriors
 
-__all__ = ["PER_TET", "Objective", "PerTetFit", "PerTetOptions", "PerTetPriors", "fit"]
+__all__ = ["PER_TET", "Objective", "PerTetFit", "PerTetOptions", "PerTetPriors", "Status", "fit"]

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from solver.rig.expression import ENTRIES
 from solver.rig.frames.read_back import compare_activations
-from solver.rig.rig import ENTRIES, Rig
+from solver.rig.rig import Rig
 
 FILE = "activations.csv"
 MEDIA_TYPE = "text/csv"

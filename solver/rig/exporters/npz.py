@@ -7,8 +7,8 @@ from typing import Any
 
 from solver.rig.exporters import NO_OPTIONS
 from solver.rig.exporters import NoOptions as Options
+from solver.rig.expression import FILE as FILE
 from solver.rig.frames.read_back import compare_expressions
-from solver.rig.rig import FILE as FILE
 from solver.rig.rig import Rig
 
 MEDIA_TYPE = "application/x-npz"

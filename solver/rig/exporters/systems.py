@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from solver.errors import InputError
 from solver.rig.frames.gltf import MorphTargetOptions, worst_error, write_faces
-from solver.rig.frames.read_back import NEUTRAL, compare_expressions, read_glb
+from solver.rig.frames.read_back import NEUTRAL, MorphedSkin, compare_expressions, read_glb
 from solver.rig.report.systems import fits_by_system
 from solver.rig.rig import Rig
 from solver.surface import Floats
@@ -46,10 +47,20 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
 
 def read_back(rig: Rig, path: Path, _options: Options = DEFAULTS) -> dict[str, Any]:
     """Return how far the file's skins are off the rig's, with the system that is furthest."""
+    return compare_systems(rig, path, lambda _, node: read_glb(path, node))
+
+
+def compare_systems(
+    rig: Rig, path: Path, read: Callable[[str, int], MorphedSkin]
+) -> dict[str, Any]:
+    """Return how far a file's skins are off the rig's, with the system that is furthest.
+
+    ``read`` gives what the file has of a system, by its letter and its number in the rig.
+    """
     worst: dict[str, Any] = {"max_mm": -1.0}
-    for node, (system, shapes) in enumerate(_shapes(rig).items()):
+    for number, (system, shapes) in enumerate(_shapes(rig).items()):
         wanted = {NEUTRAL: rig.model.skin.vertices, **shapes}
-        found = compare_expressions(path, read_glb(path, node).expressions(), wanted)
+        found = compare_expressions(path, read(system, number).expressions(), wanted)
         if found["max_mm"] > worst["max_mm"]:
             worst = {**found, "system": system}
     return worst

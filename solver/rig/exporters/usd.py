@@ -10,6 +10,9 @@ Needs the extra ``usd``. Lengths are mm (``metersPerUnit`` 0.001), y up. ``/Face
   shapes hold what the jaw does to it; the jaw is for the mandible and what else is fixed to it;
 - ``Animation``: one expression after the other, as in ``rig.glb``; of a performance its frames, by
   their numbers as time codes.
+
+Of a rig with several systems the variant set ``system`` has the shapes, distances and animation of
+each, and its muscles are shown until another is chosen.
 """
 
 from __future__ import annotations
@@ -29,6 +32,8 @@ from solver.drawing.head import skin_parts
 from solver.errors import InputError
 from solver.mechanics.boundary import JAW_FREEDOM, FreeJaw
 from solver.model import SubjectModel
+from solver.rig.exporters.systems import compare_systems
+from solver.rig.expression import ExpressionFit
 from solver.rig.frames import MarkerFrame
 from solver.rig.frames.animation_gltf import SEQUENCE_SHAPES, AnimatedSkin
 from solver.rig.frames.gltf import DEFAULTS, worst_error
@@ -46,6 +51,7 @@ from solver.rig.frames.usd import (
     numbers,
     quaternion,
 )
+from solver.rig.report.systems import fits_by_system
 from solver.rig.rig import Rig
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.surface import Floats, Surface, vertex_normals
@@ -56,6 +62,7 @@ WITH_EVERY_RIG = True  # where the extra is there
 FORMATS = [".usdc", ".usda", ".usd"]
 FRAMES_PER_SECOND = 30.0  # of the time codes, as animation tools expect
 SKIN = ROOT.AppendChild("Skin")
+VARIANTS = "system"  # the variant set of a rig with several systems
 HEAD = "head"
 JAW = "head/jaw"
 JOINTS = [HEAD, JAW]
@@ -69,17 +76,43 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
     if path.suffix not in FORMATS:
         message = f"{path.name} does not end in {', '.join(FORMATS)}"
         raise InputError("usd.format", message, file=path.name, expected=FORMATS)
-    model = rig.model
-    expressions = rig.expressions
+    stage = _stage(rig.model)
+    systems = fits_by_system(rig)
+    names = list(dict.fromkeys(fit.name for fits in systems.values() for fit in fits))
+    if not rig.systems:
+        _show(stage, rig.model, rig.expressions, names, options)
+    else:
+        variants = stage.GetDefaultPrim().GetVariantSets().AddVariantSet(VARIANTS)
+        for system, fits in systems.items():
+            variants.AddVariant(system)
+            variants.SetVariantSelection(system)
+            with variants.GetVariantEditContext():
+                _show(stage, rig.model, fits, names, options)
+        variants.SetVariantSelection(next(iter(systems)))
+    stage.GetRootLayer().Export(str(path))
+
+
+def _show(
+    stage: Usd.Stage,
+    model: SubjectModel,
+    expressions: Sequence[ExpressionFit],
+    names: Sequence[str],
+    options: Options,
+) -> None:
+    """Give the skin its expressions, and move it through them; ``names`` are those of all systems.
+
+    Expressions of one name are shown at one time by all systems.
+    """
     shapes = {fit.name: fit.skin for fit in expressions}
-    stage = _stage(model, shapes, options.still_mm)
+    _give_shapes(stage, model.skin, shapes, options.still_mm)
     kind = Sdf.ValueTypeNames.FloatArray
     primvars = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath(SKIN))
     error = primvars.CreatePrimvar("error_mm", kind, UsdGeom.Tokens.vertex)
     worst = worst_error(expressions, len(model.skin.vertices))
     error.Set(Vt.FloatArray.FromNumpy(worst.astype(np.float32)))
     jaws = np.array([fit.jaw for fit in expressions]).reshape(-1, JAW_FREEDOM)
-    times, rows = options.keys(len(expressions))
+    times, weights = options.keys(len(names))
+    rows = weights[:, [names.index(name) for name in shapes]]
     keys = [
         _Key(round(seconds * FRAMES_PER_SECOND), row, FreeJaw(model.jaw).matrix(row @ jaws))
         for seconds, row in zip(times.tolist(), rows, strict=True)
@@ -88,11 +121,12 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
     held = [_Key(0, rows[0], FreeJaw(model.jaw).matrix(fit.jaw)) for fit in expressions]
     places = [*skins, *(_bones(model, each) for each in (keys[0], *held))]
     _animate(stage, model, list(shapes), keys, FRAMES_PER_SECOND, np.vstack(places))
-    stage.GetRootLayer().Export(str(path))
 
 
 def read_back(rig: Rig, path: Path, _options: Options = DEFAULTS) -> dict[str, Any]:
-    """Return how far the file's skins are off the rig's."""
+    """Return how far the file's skins are off the rig's, of several systems with the worst."""
+    if rig.systems:
+        return compare_systems(rig, path, lambda system, _: read_usd(path, system))
     return compare_expressions(path, read_usd(path).expressions(), rig.skins())
 
 
@@ -108,7 +142,8 @@ def write_sequence(
     Returns how far the file is off them, as :meth:`.AnimatedSkin.compare`.
     """
     shapes, weights = skin.morphs()
-    stage = _stage(model, shapes, options.still_mm)
+    stage = _stage(model)
+    _give_shapes(stage, model.skin, shapes, options.still_mm)
     keys = []
     places = [skin.extent]
     for frame, row in zip(skin.frames, weights, strict=True):
@@ -134,11 +169,11 @@ class _Key(NamedTuple):
     head: Similarity = IDENTITY
 
 
-def _stage(model: SubjectModel, shapes: Mapping[str, Floats], still_mm: float) -> Usd.Stage:
+def _stage(model: SubjectModel) -> Usd.Stage:
     """Return a stage with skeleton, skin and bones, at rest."""
     stage, _ = new_stage()
     _skeleton(stage, model)
-    _skin(stage, model.skin, shapes, still_mm)
+    _skin(stage, model.skin)
     for name, bone in model.bones.items():
         joint = JAW if name == "mandible" else HEAD
         _mesh(stage, name, bone, joint).CreatePurposeAttr(UsdGeom.Tokens.guide)
@@ -168,17 +203,23 @@ def _skeleton(stage: Usd.Stage, model: SubjectModel) -> None:
     binding.CreateAnimationSourceRel().SetTargets([ROOT.AppendChild("Animation")])
 
 
-def _skin(stage: Usd.Stage, skin: Surface, shapes: Mapping[str, Floats], still_mm: float) -> None:
-    """Define the skin with a blend shape for each of ``shapes`` (v, 3)."""
+def _skin(stage: Usd.Stage, skin: Surface) -> None:
+    """Define the skin at rest."""
     mesh = _mesh(stage, SKIN.name, skin, joint=HEAD)
-    normals = vertex_normals(skin)
-    give_normals(mesh, normals)
+    give_normals(mesh, vertex_normals(skin))
     _materials(stage, mesh, skin)
+
+
+def _give_shapes(
+    stage: Usd.Stage, skin: Surface, shapes: Mapping[str, Floats], still_mm: float
+) -> None:
+    """Give the skin a blend shape for each of ``shapes`` (v, 3)."""
+    normals = vertex_normals(skin)
     changes = {
         name: (points - skin.vertices, vertex_normals(skin.with_vertices(points)) - normals)
         for name, points in shapes.items()
     }
-    give_blend_shapes(stage, mesh, changes, still_mm)
+    give_blend_shapes(stage, UsdGeom.Mesh(stage.GetPrimAtPath(SKIN)), changes, still_mm)
 
 
 def _mesh(stage: Usd.Stage, name: str, surface: Surface, joint: str) -> UsdGeom.Mesh:
@@ -235,11 +276,17 @@ def _animate(
 # Reading of a face's USD file, by the library's own skeletons and blend shapes.
 
 
-def read_usd(path: Path) -> MorphedSkin:
-    """Read a USD file as this product writes them; times are time codes."""
+def read_usd(path: Path, system: str | None = None) -> MorphedSkin:
+    """Read a USD file as this product writes them; times are time codes.
+
+    ``system`` is one of a rig's in the place of that which the file shows.
+    """
     stage = Usd.Stage.Open(str(path))
     cache = UsdSkel.Cache()
     face = stage.GetDefaultPrim()
+    if system is not None:
+        stage.SetEditTarget(stage.GetSessionLayer())
+        face.GetVariantSet(VARIANTS).SetVariantSelection(system)
     cache.Populate(UsdSkel.Root(face), Usd.PrimDefaultPredicate)
     place = face.GetPath().AppendChild("Skin")
     binding = UsdSkel.BindingAPI(stage.GetPrimAtPath(place))

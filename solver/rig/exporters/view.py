@@ -20,10 +20,11 @@ from solver.anatomy.muscle_weights import muscle_volumes
 from solver.anatomy.tetrahedra import volumes
 from solver.errors import InputError, quote
 from solver.fitting.contraction import STILL, Contraction
+from solver.rig.expression import ExpressionFit
 from solver.rig.frames.read_back import NEUTRAL, compare_expressions
 from solver.rig.report.measures import distances
 from solver.rig.report.systems import fits_by_system
-from solver.rig.rig import ExpressionFit, Rig
+from solver.rig.rig import Rig
 from solver.storage import read_container, write_container
 
 FILE = "view.bin"

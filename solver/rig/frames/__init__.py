@@ -24,8 +24,8 @@ from solver.fitting.contraction import Contraction
 from solver.fitting.drives import are_fibres
 from solver.kinds import FILES
 from solver.mechanics.boundary import JAW_FREEDOM
+from solver.rig.expression import ENTRIES
 from solver.rig.frames.read_back import compare_activations
-from solver.rig.rig import ENTRIES
 from solver.storage import MOST_BYTES, read_arrays, write_container, write_json
 from solver.surface import Floats
 

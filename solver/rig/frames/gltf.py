@@ -13,8 +13,8 @@ import pygltflib as gl
 from scipy.spatial.transform import Rotation
 
 from solver.drawing.head import skin_parts
+from solver.rig.expression import ExpressionFit
 from solver.rig.frames.gltf_buffer import METRES, Buffer
-from solver.rig.rig import ExpressionFit
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
 GENERATOR = "Myoface"

@@ -16,6 +16,7 @@ from solver.errors import InputError, SolveError
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face
 from solver.model import SubjectModel
+from solver.rig.expression import ExpressionFit
 from solver.rig.frames.read_back import Comparison
 from solver.rig.frames.skin_basis import (
     ReducedSkin,
@@ -34,7 +35,6 @@ from solver.rig.preview.poses import (
     SliderSolver,
 )
 from solver.rig.preview.sliders import SliderOptions, Sliders, controls_of, controls_of_basis
-from solver.rig.rig import ExpressionFit
 from solver.storage import read_container, write_container
 from solver.surface import Floats, Ints
 

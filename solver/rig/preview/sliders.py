@@ -24,8 +24,8 @@ from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose
 from solver.mechanics.boundary import JawMotion
 from solver.mechanics.flesh import IDENTITY
+from solver.rig.expression import ExpressionFit
 from solver.rig.preview.patterns import contract_in_full
-from solver.rig.rig import ExpressionFit
 from solver.surface import Floats
 
 # What a muscle's slider does: the muscle shortens along its fibres, as muscles do.

@@ -13,6 +13,7 @@ from solver.contact.crossing import Crossing
 from solver.errors import Verdict
 from solver.fitting.geometry_information import MuscleInformation
 from solver.model import SubjectModel, weights_hash
+from solver.rig.expression import ExpressionFit
 from solver.rig.report.certificate import (
     Certificate,
     ExpressionCheck,
@@ -32,7 +33,7 @@ from solver.rig.report.checks import (
 from solver.rig.report.measures import distances, measured_regions, rounded, uneven_sides
 from solver.rig.report.prime_movers import ActionCheck
 from solver.rig.report.systems import system_figures
-from solver.rig.rig import ExpressionFit, Rig
+from solver.rig.rig import Rig
 from solver.rig.round_trip import RoundTrip
 
 PACKAGES = ("myoface", "numpy", "scipy", "numba")

@@ -28,8 +28,9 @@ from solver.mechanics.boundary import FreeJaw, five_numbers
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization
 from solver.model import SubjectModel
+from solver.rig.expression import ExpressionFit
 from solver.rig.report.prime_movers import Movers, Said, movers, rank_contractions
-from solver.rig.rig import ExpressionFit, Rig
+from solver.rig.rig import Rig
 from solver.rig.round_trip import round_trip
 from solver.surface import Floats, Ints
 

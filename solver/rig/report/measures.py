@@ -19,6 +19,7 @@ from solver.errors import Finding, make_warning
 from solver.fitting.face import Face
 from solver.mechanics.boundary import FreeJaw
 from solver.model import SubjectModel
+from solver.rig.expression import ExpressionFit
 from solver.rig.report.certificate import (
     SYMMETRY,
     Certificate,
@@ -29,7 +30,7 @@ from solver.rig.report.certificate import (
     muscles,
 )
 from solver.rig.report.prime_movers import MoverOptions, Said
-from solver.rig.rig import ExpressionFit, Rig
+from solver.rig.rig import Rig
 from solver.rig.round_trip import RoundTrip
 from solver.surface import Floats, Ints
 

@@ -13,12 +13,15 @@ from solver.anatomy.tetrahedra import volumes
 from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
 from solver.fitting.contraction import Contraction
+from solver.fitting.stretches import matrices
 from solver.model import SubjectModel
+from solver.rig.expression import ExpressionFit
 from solver.rig.report.measures import distances, rounded
-from solver.rig.rig import ExpressionFit, Rig, SystemFit
+from solver.rig.rig import Rig
+from solver.rig.system import ShapeFit, TetFit
 from solver.surface import Floats, Ints
 
-SYSTEMS = {"S": "muscles", "T": "muscle tracks", "B": "plain shapes"}
+SYSTEMS = {"S": "muscles", "P": "single tets", "T": "muscle tracks", "B": "plain shapes"}
 
 
 @dataclass(frozen=True)
@@ -94,9 +97,15 @@ class SystemMeasures:
         }
 
     def _controls(self, fit: ExpressionFit) -> Floats:
-        """Return weights (K,) of shapes, or contractions of muscles that have fibres."""
-        if isinstance(fit, SystemFit):
+        """Return weights (K,) of shapes, or contractions of muscles that have fibres.
+
+        Of a tet it is what the direction gains or loses that its activation changes most.
+        """
+        if isinstance(fit, ShapeFit):
             return fit.weights
+        if isinstance(fit, TetFit):
+            stretches = np.linalg.eigvalsh(matrices(fit.tet_activations))
+            return np.asarray(np.abs(stretches - 1.0).max(axis=1))
         found = self.contraction(fit.activations)
         return np.asarray(found[np.isfinite(found)])
 

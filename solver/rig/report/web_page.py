@@ -18,9 +18,9 @@ from PIL import Image
 from solver.anatomy.physiology import JAW_RANGES, JAW_SOURCE, MUSCLE_SOURCE
 from solver.drawing.head import both_sides
 from solver.fitting.contraction import STILL
+from solver.rig.expression import ROLES
 from solver.rig.report import CONTACTS
 from solver.rig.report.checks import overall
-from solver.rig.rig import ROLES
 
 FILES = {
     "rig.npz": "the rig in one file: model, matrix S and expressions",

@@ -13,10 +13,12 @@ import pytest
 
 from solver.contact.crossing import Crossing
 from solver.errors import InputError
+from solver.fitting.face import Face
+from solver.fitting.per_tet import tissue
 from solver.jobs import run_job
 from solver.meshio.registered import write_registered
 from solver.model import SubjectModel
-from solver.rig import Rig, systems
+from solver.rig import Rig, TetSystem, shape_fits
 from solver.rig.exporters import export_measured
 from solver.storage import read_container
 from solver.surface import Floats, Surface
@@ -138,6 +140,30 @@ def test_muscles_are_fitted_to_what_the_rig_does_not_know(files: Path, tmp_path:
     assert set(report["systems"]["full"]) == {"S", "T"}
 
 
+def test_single_tets_stand_beside_the_others(files: Path, tmp_path: Path) -> None:
+    rig, report = fit(files, tmp_path, "wide", options={"per_tet": True})
+    assert set(rig.systems) == {"T", "P"}
+    system = rig.systems["P"]
+    assert isinstance(system, TetSystem)
+    (found,) = system.expressions
+    assert found.tet_activations.shape == (len(system.tets), 6)
+    told = report["systems"]["wide"]["P"]
+    assert told["mean_mm"] < 0.3 < np.linalg.norm(found.target - MODEL.skin.vertices, axis=1).max()
+    assert 0 < told["controls_used"] <= told["controls"] == len(system.tets)
+    # what muscles do is the mean of their tets
+    weight = tissue.of_face(Face(MODEL)).fractions[:, [0]].toarray()
+    mean = (weight * found.tet_activations).sum(axis=0) / weight.sum()
+    np.testing.assert_allclose(found.activations[0], mean, atol=1e-6)
+    assert found.round_trip is not None
+    assert found.round_trip.skin_max_mm < 0.05
+    # with further fits of muscles they are carried over and shown
+    again = tmp_path / "again"
+    given = {"rig": tmp_path / "rig.npz", "options": {"controls": "free"}}
+    run_job("fit_activations", again, captures={"full": files / "full.ply"}, **given)
+    assert set(Rig.load(again).systems) == {"T", "P"}
+    assert {each.name for each in again.iterdir()} >= {"systems.glb", "view_T.bin", "view_P.bin"}
+
+
 def test_bounds_are_kept_unless_weights_are_free(files: Path, tmp_path: Path) -> None:
     skin = MODEL.skin.vertices - 0.5 * shapes()["aside"]
     captures = {"back": write(tmp_path / "back.ply", skin)}
@@ -174,9 +200,9 @@ def test_lips_of_a_scan_that_cross_are_told(
 ) -> None:
     rig, _ = fit(files, tmp_path, "wide")
     found = [Crossing(depth, 7, None, None, None) for depth in (3.0, 0.1)]
-    monkeypatch.setattr(systems.Mouth, "of", lambda _: SimpleNamespace(skin=np.arange(4)))
-    monkeypatch.setattr(systems, "crossing", lambda *_: found.pop(0))
-    (notice,) = systems.find_crossed(MODEL, rig.systems["T"].expressions[0])
+    monkeypatch.setattr(shape_fits.Mouth, "of", lambda _: SimpleNamespace(skin=np.arange(4)))
+    monkeypatch.setattr(shape_fits, "crossing", lambda *_: found.pop(0))
+    (notice,) = shape_fits.find_crossed(MODEL, rig.systems["T"].expressions[0])
     assert (notice.code, notice.context["vertex"], notice.context["mm"]) == ("target.crossed", 7, 3)
     assert "cross by 3.0 mm at vertex 7; in the fit they cross by 0.10 mm" in notice.message
     assert "mm off the scan" in notice.message
@@ -202,7 +228,7 @@ def test_what_cannot_be_used_is_refused(files: Path, tmp_path: Path) -> None:
 def test_a_scan_that_the_flesh_finds_no_way_to_stays_at_rest(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = systems.fit
+    real = shape_fits.fit
     calls = []
 
     def fails_once(*given: Any, **more: Any) -> TrackFit[Any]:
@@ -211,7 +237,7 @@ def test_a_scan_that_the_flesh_finds_no_way_to_stays_at_rest(
             raise np.linalg.LinAlgError("no way")
         return real(*given, **more)
 
-    monkeypatch.setattr(systems, "fit", fails_once)
+    monkeypatch.setattr(shape_fits, "fit", fails_once)
     rig, report = fit(files, tmp_path, "wide", "full")
     first, second = rig.systems["T"].expressions
     assert (first.status, second.status) == ("failed", "converged")

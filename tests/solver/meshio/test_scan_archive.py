@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 from zipfile import ZIP_BZIP2, ZIP_DEFLATED, ZIP_STORED, ZipFile
 
@@ -10,10 +11,9 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
-from solver.meshio import scan_archive
 from solver.meshio.colours import read_colours
 from solver.meshio.raw import read_raw
-from solver.meshio.scan_archive import opened_scan
+from solver.meshio.scan_archive import LIMITS, opened_scan
 from tests.solver.meshio.test_colours import MIDDLE, obj
 
 
@@ -72,9 +72,7 @@ def test_an_archive_that_is_no_scan_is_refused(
     assert caught.value.as_dict()["file"] == "scan.zip"
 
 
-def test_archives_that_are_traps_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_archives_that_are_traps_are_refused(tmp_path: Path) -> None:
     folder = tmp_path / "in"
     folder.mkdir()
 
@@ -101,5 +99,7 @@ def test_archives_that_are_traps_are_refused(
     lying = whole[: place + 24] + struct.pack("<L", 8) + whole[place + 28 :]
     (folder / "lying.zip").write_bytes(lying)
     refused(folder / "lying.zip", "cannot be unpacked")
-    monkeypatch.setattr(scan_archive, "MOST_BYTES", 700)
-    refused(folder / "whole.zip", "of 800 bytes; at most")
+    small = replace(LIMITS, most_bytes=700)
+    words = "of 800 bytes; at most"
+    with pytest.raises(InputError, match=words), opened_scan(folder / "whole.zip", small):
+        pass

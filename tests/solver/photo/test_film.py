@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -13,7 +16,7 @@ from solver.errors import InputError
 from solver.photo.camera import PinholeCamera
 from solver.photo.film import FilmOptions, FilmTracker, FrameProblem, RandomWalk, StepNoise
 from solver.photo.fit import PhotoFitOptions, PhotoPoint, PhotoProblem, PhotoView
-from solver.photo.footage import FilmFile, Pictures, natural_order, open_film
+from solver.photo.footage import FilmFile, Pictures, natural_order, open_film, opened_film
 from solver.photo.mesh_points import landmark_points
 from solver.photo.photo import Photo
 from solver.photo.terms import LandmarkTerm
@@ -132,3 +135,38 @@ def test_a_folder_of_pictures_is_a_film(tmp_path: Path) -> None:
     film = open_film(tmp_path)
     assert isinstance(film, Pictures)
     assert [film.photo(number).name for number in range(len(film))] == ["9", "10"]
+
+
+def pack(path: Path, members: Mapping[str, bytes]) -> Path:
+    with ZipFile(path, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return path
+
+
+def test_a_zip_of_pictures_is_a_film(tmp_path: Path) -> None:
+    Image.new("RGB", SIZE, (90, 0, 0)).save(tmp_path / "a.png")
+    picture = (tmp_path / "a.png").read_bytes()
+    marks = {"1": [48.0, 40.0], "33": [30.0, 20.0], "263": [66.0, 20.0], "152": [48.0, 60.0]}
+    facts = json.dumps({"landmarks": marks}).encode()
+    members = {f"day/{number}.png": picture for number in (10, 9)}
+    members |= {"day/9.json": facts, "read me.txt": b"", "__MACOSX/day/._9.png": b"none"}
+    with opened_film(pack(tmp_path / "day.ZIP", members)) as film:
+        assert isinstance(film, Pictures)
+        assert film.name == "day.ZIP"
+        assert [film.photo(number).name for number in range(len(film))] == ["9", "10"]
+        assert [len(film.photo(number).landmarks) for number in range(2)] == [4, 0]
+        folder = film.paths["9"].parent
+    assert not folder.exists()
+    cases = {
+        "none": ({"notes.txt": b""}, "none.zip has no pictures"),
+        "two": ({"a/1.png": picture, "b/1.png": picture}, "in one folder"),
+        "cut": (members, "cannot be unpacked"),
+    }
+    for name, (held, words) in cases.items():
+        path = pack(tmp_path / f"{name}.zip", held)
+        if name == "cut":
+            path.write_bytes(path.read_bytes()[:-30])
+        with pytest.raises(InputError, match=words) as refused, opened_film(path):
+            pass
+        assert refused.value.code == "film.unreadable"

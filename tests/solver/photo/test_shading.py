@@ -7,8 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from solver.anatomy.skin_points import SkinSamples
+from solver.drawing.render import rasterise
 from solver.photo.camera import PinholeCamera
+from solver.photo.expression import ShadingOptions, shading_of
+from solver.photo.photo import Photo
 from solver.photo.shading import (
+    BANDS,
     HARMONICS,
     ShadingTerm,
     SmoothImage,
@@ -17,9 +21,12 @@ from solver.photo.shading import (
     sum_rates,
     vertex_sums,
 )
-from solver.surface import Surface
+from solver.surface import Surface, vertex_normals
 from tests.solver.ball import ball
 from tests.solver.photo.derivatives import check_derivatives
+
+TURN = Rotation.from_euler("xy", [0.2, 0.1]).as_matrix()
+CAMERA = PinholeCamera(np.full(2, 500.0), np.full(2, 60.0), TURN, np.array([0.0, 0.0, 300.0]))
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +34,6 @@ def term() -> tuple[ShadingTerm, np.ndarray, PinholeCamera]:
     """Return a ball's shading in a picture of waves, its vertices, and a camera."""
     random = np.random.default_rng(0)
     surface = ball(np.zeros(3), 20.0, 2)
-    turn = Rotation.from_euler("xy", [0.2, 0.1]).as_matrix()
-    camera = PinholeCamera(np.full(2, 500.0), np.full(2, 60.0), turn, np.array([0.0, 0.0, 300.0]))
     row, column = np.mgrid[:120, :120]
     waves = [0.5 + 0.3 * np.sin(row / 9.0 + k) * np.cos(column / 7.0) for k in range(3)]
     seen = surface.faces[random.choice(len(surface.faces), 40)]
@@ -38,11 +43,42 @@ def term() -> tuple[ShadingTerm, np.ndarray, PinholeCamera]:
     albedo = random.uniform(0.3, 0.8, (40, 3))
     blocked = random.normal(0.0, 0.1, (40, HARMONICS))
     found = ShadingTerm(image, surface.faces, samples, albedo, blocked, light, 0.05)
-    return found, surface.vertices, camera
+    return found, surface.vertices, CAMERA
 
 
 def test_derivatives_are_those_of_differences(term) -> None:
     check_derivatives(*term, step=1e-5, tolerance=1e-5)
+
+
+def drawn(stubble: float) -> Photo:
+    """Return a ball of even skin in a soft light, with ``stubble`` of so much on its lower half."""
+    surface = ball(np.zeros(3), 20.0, 3)
+    light = np.zeros(HARMONICS)
+    light[:3] = 0.12, 0.03, 0.02
+    shade = (BANDS * harmonics(vertex_normals(surface))) @ light
+    seen = rasterise(CAMERA.project(surface.vertices), surface.faces, 120, 120)
+    pixels = np.zeros((120, 120, 3))
+    pixels[seen.mask] = seen.interpolate(shade[:, None] * [0.9, 0.7, 0.6])
+    random = np.random.default_rng(4)
+    pixels[60:] *= 1.0 + stubble * random.uniform(-1.0, 1.0, (60, 120, 1))
+    return Photo("ball", (pixels ** (1 / 2.2)).astype(np.float32))
+
+
+def test_what_light_and_albedo_leave_is_a_picture_s_noise() -> None:
+    surface = ball(np.zeros(3), 20.0, 3)
+    every = np.arange(len(surface.vertices))
+    open_ = np.zeros((len(every), HARMONICS))
+    given = ShadingOptions(detail_mm=0.1)
+
+    def noise(stubble: float) -> float:
+        term, _ = shading_of(drawn(stubble), CAMERA, surface, every, open_, given)
+        assert isinstance(term, ShadingTerm)
+        repeated = np.sqrt(len(term.samples.corners) / given.independent)
+        colours = term.image.at(CAMERA.project(term.samples.of(surface.vertices))[:, :2])
+        return float(term.noise / repeated / colours.mean())
+
+    assert noise(0.0) == pytest.approx(given.least_noise)
+    assert given.least_noise < noise(0.5) < noise(0.9) < 0.5
 
 
 def test_harmonics_have_their_rates() -> None:

@@ -13,7 +13,9 @@ import pytest
 from solver.errors import InputError, make_warning
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel, weights_hash
-from solver.rig.rig import FORMAT, ExpressionFit, Rig, System, SystemFit
+from solver.rig.expression import FORMAT, ExpressionFit
+from solver.rig.rig import Rig
+from solver.rig.system import ShapeFit, ShapeSystem, TetFit, TetSystem
 from solver.storage import Archive, read_arrays
 from tests.solver.block import block_model
 
@@ -53,21 +55,21 @@ def test_a_rig_comes_back_from_its_file_and_from_its_folder(rig: Rig, tmp_path: 
         assert (found.seconds, found.notices) == (rig.seconds, rig.notices)
 
 
-def by_shapes(rig: Rig, name: str, weight: float) -> SystemFit:
+def by_shapes(rig: Rig, name: str, weight: float) -> ShapeFit:
     """Return an expression of the rig as one that two shapes drive."""
     held = {each.name: getattr(rig.expressions[0], each.name) for each in fields(ExpressionFit)}
     lengths = np.arange(float(rig.model.muscle_count))
     own = {"weights": np.array([weight, 0.5]), "jaw_on_top": np.arange(5.0), "lengths": lengths}
-    return SystemFit(**{**held, "name": name}, **own)
+    return ShapeFit(**{**held, "name": name}, **own)
 
 
 def test_systems_come_back_and_a_rig_without_is_of_muscles_alone(rig: Rig, tmp_path: Path) -> None:
     fits = by_shapes(rig, "smile", 0.25), by_shapes(rig, "kiss", 1.0)
-    system = System(("aside", "bulge"), fits)
-    replace(rig, systems={"T": system, "B": System(("aside",), ())}).save(tmp_path / "rig.npz")
+    system = ShapeSystem(fits, ("aside", "bulge"))
+    replace(rig, systems={"T": system, "B": ShapeSystem((), ("aside",))}).save(tmp_path / "rig.npz")
     found = Rig.load(tmp_path / "rig.npz")
     check_same(rig, found)
-    assert found.systems["B"] == System(("aside",), ())
+    assert found.systems["B"] == ShapeSystem((), ("aside",))
     assert found.systems["T"].shapes == system.shapes
     for before, after in zip(fits, found.systems["T"].expressions, strict=True):
         assert before.name == after.name
@@ -86,14 +88,51 @@ def test_systems_come_back_and_a_rig_without_is_of_muscles_alone(rig: Rig, tmp_p
         assert error.value.code == "rig.unreadable"
 
 
+def by_tets(rig: Rig, name: str, stretch: float) -> TetFit:
+    """Return an expression of the rig as one that two tets drive."""
+    held = {each.name: getattr(rig.expressions[0], each.name) for each in fields(ExpressionFit)}
+    return TetFit(**{**held, "name": name}, tet_activations=stretch * np.tile(IDENTITY, (2, 1)))
+
+
+def test_activations_of_tets_come_back(rig: Rig, tmp_path: Path) -> None:
+    system = TetSystem((by_tets(rig, "smile", 0.75), by_tets(rig, "kiss", 1.25)), np.array([1, 4]))
+    replace(rig, systems={"P": system}).save(tmp_path / "rig.npz")
+    found = Rig.load(tmp_path / "rig.npz").systems["P"]
+    assert isinstance(found, TetSystem)
+    np.testing.assert_array_equal(found.tets, system.tets)
+    for before, after in zip(system.expressions, found.expressions, strict=True):
+        assert before.name == after.name
+        np.testing.assert_array_equal(before.tet_activations, after.tet_activations)
+    assert system.replaced(replace(found, expressions=())).expressions == system.expressions
+    other = replace(found, tets=np.array([1, 5]))
+    assert system.replaced(other) is other
+    archive = Archive.read(tmp_path / "rig.npz", "rig", "a rig", FORMAT)
+    tets = "system_P_tets"
+    for header, arrays in (
+        ({"tets": 3}, {}),
+        ({"tets": 2}, {tets: np.array([1, 10**6])}),
+        ({"tets": 1}, {tets: np.array([1])}),
+        ({}, {}),
+    ):
+        told = {**archive.header, "systems": {"P": header}}
+        Archive(told, {**archive.arrays, **arrays}).write(tmp_path / "bad.npz")
+        with pytest.raises(InputError) as error:
+            Rig.load(tmp_path / "bad.npz")
+        assert error.value.code == "rig.unreadable"
+    kept = {name: each for name, each in archive.arrays.items() if name != tets}
+    Archive(archive.header, kept).write(tmp_path / "bad.npz")
+    with pytest.raises(InputError, match="is not part of a rig"):
+        Rig.load(tmp_path / "bad.npz")
+
+
 def test_a_system_takes_new_fits_in_and_lets_other_scans_go(rig: Rig) -> None:
     smile, kiss = (by_shapes(rig, name, 0.25) for name in ("smile", "kiss"))
-    system = System(("a", "b"), (smile, kiss))
+    system = ShapeSystem((smile, kiss), ("a", "b"))
     again = by_shapes(rig, "kiss", 1.0)
-    names = [each.name for each in system.replaced(System(("a", "b"), (again,))).expressions]
+    names = [each.name for each in system.replaced(ShapeSystem((again,), ("a", "b"))).expressions]
     assert names == ["smile", "kiss"]
-    assert system.replaced(System(("a", "b"), (again,))).expressions[1] is again
-    assert system.replaced(System(("a", "c"), (again,))).expressions == (again,)
+    assert system.replaced(ShapeSystem((again,), ("a", "b"))).expressions[1] is again
+    assert system.replaced(ShapeSystem((again,), ("a", "c"))).expressions == (again,)
     scan = smile.target.copy()
     assert system.without({"smile": scan}).expressions == (smile, kiss)
     assert system.without({"smile": scan + 0.1}).expressions == (kiss,)

@@ -11,7 +11,7 @@ import pytest
 
 from solver.errors import InputError, SolveError
 from solver.mechanics.flesh import IDENTITY
-from solver.rig import ExpressionFit, Rig, System, SystemFit
+from solver.rig import ExpressionFit, Rig, ShapeFit, ShapeSystem
 from solver.rig.exporters import export, export_measured, systems
 from solver.storage import read_container
 from tests.solver.block import block_model
@@ -25,23 +25,23 @@ def fitted(rig: Rig, name: str, away: float) -> ExpressionFit:
     return ExpressionFit(name, "test", a, np.zeros(5), skin, skin, error, 0, 1, 0.0, 0.0)
 
 
-def by_shapes(rig: Rig, name: str, away: float) -> SystemFit:
+def by_shapes(rig: Rig, name: str, away: float) -> ShapeFit:
     held = {
         each.name: getattr(fitted(rig, name, away), each.name) for each in fields(ExpressionFit)
     }
     own = {"weights": np.zeros(1), "jaw_on_top": np.zeros(5), "lengths": np.zeros(2)}
-    return SystemFit(**held, **own)
+    return ShapeFit(**held, **own)
 
 
 @pytest.fixture
 def rig() -> Rig:
     model = block_model()
     empty = Rig(model, model.weights, ())
-    tracks = System(("a",), (by_shapes(empty, "kiss", 2.0), by_shapes(empty, "smile", 3.0)))
+    tracks = ShapeSystem((by_shapes(empty, "kiss", 2.0), by_shapes(empty, "smile", 3.0)), ("a",))
     return replace(
         empty,
         expressions=(fitted(empty, "smile", 1.0),),
-        systems={"T": tracks, "B": System(("a",), ())},
+        systems={"T": tracks, "B": ShapeSystem((), ("a",))},
     )
 
 
@@ -76,7 +76,7 @@ def test_the_page_s_file_is_of_one_system(rig: Rig, tmp_path: Path) -> None:
 def test_a_file_of_another_system_is_refused(rig: Rig, tmp_path: Path) -> None:
     made = export_measured(rig, "systems", tmp_path / "systems.glb")
     assert made.figures["max_mm"] < 1e-3
-    other = replace(rig, systems={"T": System(("a",), (by_shapes(rig, "kiss", 2.5),))})
+    other = replace(rig, systems={"T": ShapeSystem((by_shapes(rig, "kiss", 2.5),), ("a",))})
     with pytest.raises(SolveError) as error:
         systems.read_back(other, made.path)
     assert error.value.code == "file.differs"

@@ -10,7 +10,7 @@ export async function rigAndSubject(id, signal) {
 
 const MUSCLES = "S";
 /** What drives a face, by its letter in a rig's files. */
-export const SYSTEMS = { [MUSCLES]: "Muscles", T: "Muscle tracks", B: "Plain shapes" };
+export const SYSTEMS = { [MUSCLES]: "Muscles", P: "Single tets", T: "Muscle tracks", B: "Plain shapes" };
 const VIEW_FILE = /^view_([A-Z])\.bin$/;
 
 /** Return the letters of the systems that a rig can be shown by. */

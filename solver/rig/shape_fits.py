@@ -19,8 +19,8 @@ from solver.fitting.objective import SkinDistance, Target
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
-from solver.rig.rig import SystemFit
 from solver.rig.round_trip import RoundTrip
+from solver.rig.system import ShapeFit
 from solver.tracks.fit import ShapeFace, State, TrackFit, TrackFitOptions, fit
 
 TRACK_FIT = TrackFitOptions()
@@ -40,7 +40,7 @@ def fit_scan(
     target: Target,
     options: TrackFitOptions = TRACK_FIT,
     listen: Listener | None = None,
-) -> SystemFit:
+) -> ShapeFit:
     """Fit weights and jaw to a ``scan`` called ``name``, and go to them from rest once more.
 
     ``target`` is the scan's face. Where the flesh finds no way the face stays at rest, and the fit
@@ -68,13 +68,13 @@ def fit_scan(
 
 def _describe(
     face: ShapeFace[State], name: str, scan: RegisteredScan, target: Target, found: TrackFit[State]
-) -> SystemFit:
+) -> ShapeFit:
     state = found.state
     model = face.face.model
     points = face.face.face_points(state.x)
     error = np.full(len(scan.vertices), np.nan)
     error[model.face] = target.distances(points)
-    return SystemFit(
+    return ShapeFit(
         name,
         "test",  # no scan shapes tracks
         state.pose.activations,
@@ -106,7 +106,7 @@ def _round_trip(face: ShapeFace[State], rest: State, found: State) -> RoundTrip:
 
 
 def find_crossed(
-    model: SubjectModel, fit: SystemFit, options: CrossedScanOptions = CrossedScanOptions()
+    model: SubjectModel, fit: ShapeFit, options: CrossedScanOptions = CrossedScanOptions()
 ) -> list[Finding]:
     """Return whether the lips of the scan cross, as those of no face do, and what the fit does."""
     mouth = Mouth.of(model)
