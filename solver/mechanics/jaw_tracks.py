@@ -27,7 +27,7 @@ from typing_extensions import override
 from solver.mechanics.boundary import JawMotion, rotation
 from solver.model import JawFrame
 from solver.similarity import weighted_motion
-from solver.surface import Floats, skew
+from solver.surface import Floats
 
 TRACK_FREEDOM = 3  # the angle, and how far each condyle slid
 NEAREST_STEPS = 20  # most steps of the search for a jaw
@@ -140,11 +140,11 @@ class JawTracks(JawMotion):
         open_, by_angle = rotation(u, b[0])
         d = (left - right) / self.apart
         c = np.sqrt(1.0 - d @ d)
-        K = skew(np.cross(u, d))
+        K = np.outer(d, u) - np.outer(u, d)  # (u x d) x
         turn = np.eye(3) + K + K @ K / (1.0 + c)
         rates = [turn @ by_angle]
         for rate in (by_left / self.apart, -by_right / self.apart):
-            dK = skew(np.cross(u, rate))
+            dK = np.outer(rate, u) - np.outer(u, rate)
             dc = -(d @ rate) / c
             by_slide = dK + (dK @ K + K @ dK) / (1.0 + c) - K @ K * (dc / (1.0 + c) ** 2)
             rates.append(by_slide @ open_)
