@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Protocol
@@ -27,7 +27,7 @@ from typing_extensions import override
 from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.activation import unseen_regulariser
-from solver.fitting.markers.observation import Markers, SeenMarkers
+from solver.fitting.markers.observation import MarkerOptions, Markers, SeenMarkers
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.dense import DensePoints, HeadAndFace, SeenPoints, stillness
@@ -45,6 +45,7 @@ class CheckOptions:
     """How frames are solved beside a session."""
 
     pause_s: float = 0.1  # between two of them
+    usual_s: float = 0.15  # from one to the next, about: they take their time, too
     niceness: int = 10  # of their process: frames come first
     ending_s: float = 1.0  # that it gets to end: it has nothing to lose
 
@@ -81,6 +82,7 @@ class CheckOrder:
     files: Mapping[str, Path]
     out: Path  # where the session has left the reduced skin
     source: Source
+    rate: float  # frames a second that come
     options: CheckOptions
 
 
@@ -110,14 +112,23 @@ class FleshSolver(FullSolver):
 
 
 class MarkerSolver(FullSolver):
-    """The fit of a take's markers, by the prior of the template's expressions."""
+    """The fit of a take's markers, by the prior of the template's expressions.
 
-    def __init__(self, face: LiveFace, markers: MarkerSet, seconds: float) -> None:
+    Frames come ``seconds`` apart, and each stands for as many ``alike`` as the take has in that
+    time: what a take tells of muscles little by little, over a second, a few frames tell as well.
+    """
+
+    def __init__(
+        self, face: LiveFace, markers: MarkerSet, seconds: float, alike: float = 1.0
+    ) -> None:
         places = MarkerPlaces(face.rig.model, markers.used)
-        sigma = np.array([marker.sigma_mm for marker in markers.used])
+        spread = 1.0 / np.sqrt(max(alike, 1.0))
+        sigma = spread * np.array([marker.sigma_mm for marker in markers.used])
         known = prior.from_basis(face.face, face.basis)
+        usual = MarkerOptions()
+        options = replace(usual, noise_mm=spread * usual.noise_mm)
         self._session = markers.session
-        self._tracker = Tracker(Markers(face.face, places, sigma, known, seconds))
+        self._tracker = Tracker(Markers(face.face, places, sigma, known, seconds, options))
 
     @override
     def solve(self, sample: Sample) -> Floats | None:
@@ -146,12 +157,15 @@ class PointSolver(FullSolver):
 
 
 def open_solver(
-    face: LiveFace, source: Source, files: Mapping[str, Path], pause: float
+    face: LiveFace, source: Source, files: Mapping[str, Path], seconds: float, alike: float = 1.0
 ) -> FullSolver:
-    """Return what solves frames of a source that come ``pause`` seconds after each other."""
+    """Return what solves frames of a source that come ``seconds`` after each other.
+
+    Each stands for as many ``alike`` of the take.
+    """
     if source == "markers":
         markers = MarkerSet.load(files["marker_set"], face.rig.model)
-        return MarkerSolver(face, markers, pause)
+        return MarkerSolver(face, markers, seconds, alike)
     return PointSolver(face) if source == "points" else FleshSolver(face)
 
 
@@ -259,8 +273,9 @@ def _work(order: CheckOrder, receive: Connection, send: Connection) -> None:
     with suppress(OSError):
         os.nice(order.options.niceness)
     face = LiveFace.open(order.files, order.out)
-    pause = max(order.options.pause_s, 1e-2)
-    checks = Checks(face, open_solver(face, order.source, order.files, pause))
+    usual = max(order.options.pause_s, order.options.usual_s)
+    solver = open_solver(face, order.source, order.files, usual, usual * order.rate)
+    checks = Checks(face, solver)
     with suppress(EOFError, BrokenPipeError):
         send.send(None)
         while (sample := receive.recv()) is not None:

@@ -181,7 +181,7 @@ class LiveSession:
         order = None
         if options.check_seconds > 0:
             checks = CheckOptions(options.check_seconds)
-            order = CheckOrder(dict(files), out, options.source, checks)
+            order = CheckOrder(dict(files), out, options.source, options.rate, checks)
         return cls(face, source, options, order, digest)
 
     @property
