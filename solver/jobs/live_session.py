@@ -87,7 +87,12 @@ class _Loop:
         self._rescue_takes()
         given = task.options
         options = LiveOptions(
-            given.source, given.rate, given.smooth_hz, given.send_skin, given.check_seconds
+            given.source,
+            given.rate,
+            given.smooth_hz,
+            given.send_skin,
+            given.check_seconds,
+            resume=task.resume,
         )
         try:
             session = LiveSession.open(task.inputs, task.out, options, self._prepare)

@@ -37,6 +37,8 @@ from solver.live.rigged import LiveFace
 from solver.scans.markers.places.marker_set import MarkerSet
 from solver.surface import Floats
 
+# Frames that were solved, for an attempt that goes on where a worker died
+SAMPLES_FILE = "live_samples.npz"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -48,6 +50,7 @@ class CheckOptions:
     usual_s: float = 0.15  # from one to the next, about: they take their time, too
     niceness: int = 10  # of their process: frames come first
     ending_s: float = 1.0  # that it gets to end: it has nothing to lose
+    keeping_s: float = 5.0  # between two times that the frames which were solved are written
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +87,8 @@ class CheckOrder:
     source: Source
     rate: float  # frames a second that come
     options: CheckOptions
+    clues: int  # of a frame
+    resume: bool = False  # whether frames that an attempt before has solved are known
 
 
 class FullSolver(Protocol):
@@ -170,13 +175,26 @@ def open_solver(
 
 
 class Checks:
-    """Solves samples in full, one after another, and mends the skin by them."""
+    """Solves samples in full, one after another, and mends the skin by them.
 
-    def __init__(self, face: LiveFace, solver: FullSolver) -> None:
+    They are kept in a file, with which a session that is resumed begins.
+    """
+
+    def __init__(self, face: LiveFace, solver: FullSolver, order: CheckOrder) -> None:
         self._face = face
         self._solver = solver
         self._mender = Mender()
         self._shown = face.rig.model.face
+        self._file = order.out / SAMPLES_FILE
+        self._keeping_s = order.options.keeping_s
+        self._kept = time.monotonic()
+        if order.resume and self._file.is_file():
+            features = len(face.live.names) + order.clues
+            self._mender.load(self._file, features, len(face.live.basis))
+
+    def known(self) -> Mend | None:
+        """Return what is known of the skin before any frame is solved; None: nothing."""
+        return self._mender.mend()
 
     def check(self, sample: Sample) -> Checked:
         """Solve a sample."""
@@ -188,16 +206,24 @@ class Checks:
         off = (self._face.skin_of(sample.sent) - skin)[self._shown]
         error = float(np.linalg.norm(off, axis=1).mean())
         self._mender.add(sample.values, sample.clues, self._face.project(skin) - sample.plain)
+        if time.monotonic() - self._kept > self._keeping_s:
+            self._mender.save(self._file)
+            self._kept = time.monotonic()
         return Checked(sample.number, error, spent, self._mender.mend())
 
 
 class CheckProcess:
     """The process of full solves, and the thread that talks to it.
 
-    ``tell`` gets what was solved, in that thread.
+    In that thread ``begin`` gets what is known of the skin, and ``tell`` what was solved.
     """
 
-    def __init__(self, order: CheckOrder, tell: Callable[[Checked], None]) -> None:
+    def __init__(
+        self,
+        order: CheckOrder,
+        begin: Callable[[Mend | None], None],
+        tell: Callable[[Checked], None],
+    ) -> None:
         context = multiprocessing.get_context("spawn")
         # two pipes: a confined process may make no pair of sockets
         theirs, self._send = context.Pipe(duplex=False)
@@ -208,6 +234,7 @@ class CheckProcess:
         theirs.close()
         answer.close()
         self._options = order.options
+        self._begin = begin
         self._tell = tell
         self._orders: queue.SimpleQueue[Sample | None] = queue.SimpleQueue()
         self._is_idle = False
@@ -237,7 +264,7 @@ class CheckProcess:
 
     def _talk(self) -> None:
         with suppress(EOFError, OSError):  # the process has died: there are no more checks
-            self._receive.recv()  # it is ready
+            self._begin(self._receive.recv())  # it is ready
             while True:
                 self._is_idle = True
                 sample = self._orders.get()
@@ -275,8 +302,8 @@ def _work(order: CheckOrder, receive: Connection, send: Connection) -> None:
     face = LiveFace.open(order.files, order.out)
     usual = max(order.options.pause_s, order.options.usual_s)
     solver = open_solver(face, order.source, order.files, usual, usual * order.rate)
-    checks = Checks(face, solver)
+    checks = Checks(face, solver, order)
     with suppress(EOFError, BrokenPipeError):
-        send.send(None)
+        send.send(checks.known())
         while (sample := receive.recv()) is not None:
             send.send(checks.check(sample))

@@ -141,7 +141,8 @@ def muscle_modes(
     will use is the markers' to say. Of the most probable 256 directions alone 128 modes left
     0.11 mm of fits of 79 markers, of all 0.08 mm.
     """
-    root = np.linalg.cholesky(prior.from_basis(face, basis).covariance)
+    spread = prior.from_basis(face, basis).covariance
+    root = np.asarray(np.linalg.cholesky(spread), np.float64)
     sensitivity = Sensitivity(face, face.rest)
     rows = SkinProjection(face.model, modes).rows
     left = np.empty((root.shape[1], *face.model.skin.vertices.shape), np.float32)
