@@ -7,8 +7,9 @@ makes of it afterwards. Figures by source: ``latency_ms`` of a step, ``dropped_p
 that came before the last was ready, ``error_mm`` of the face (mean and p95 over frames),
 ``plain_mm`` the same without mending, ``running_error_ratio`` of the told median to the true one of
 the same ten seconds, ``checks_per_s``. ``--folder`` keeps what is made of the rig for other runs.
-With ``--data``, a service's folder that has a rig, the weights go through a service as well
-(:mod:`benchmarks.live_service`): ``session``, ``sessions``, ``resume`` and ``soak``.
+With ``--data``, a service's folder that has a rig, frames go through a service as well
+(:mod:`benchmarks.live_service`): weights in ``session``, ``sessions``, ``resume`` and ``soak``, and
+those of all ``--sources`` in ``sources``.
 """
 
 from __future__ import annotations
@@ -86,7 +87,11 @@ def run(options: argparse.Namespace) -> Figures:
     if "library" in options.parts:
         found |= _library(options)
     if options.data is not None:
-        found["service"] = live_service.run(options)
+
+        def recorded(rig: Path) -> _Played:
+            return _Played(argparse.Namespace(**{**vars(options), "rig": rig}), rig.parent)
+
+        found["service"] = live_service.run(options, recorded)
     return found
 
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import fmean
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Protocol
 
 import anyio
 import numpy as np
@@ -30,16 +30,26 @@ from myoface.client.aio_live import AsyncLiveFace
 from myoface.client.live_frames import LiveFrame
 from myoface.stack import SPARE, Stack
 from service.settings import Settings
+from solver.kinds.live_session import Source
 from solver.scans.performance import ARKIT_NAMES, FaceTake, read_live_link
 from solver.surface import Floats
 
-PARTS = ("session", "sessions", "resume", "soak")
+PARTS = ("session", "sources", "sessions", "resume", "soak")
 SESSIONS = 4
 WARM_FRAMES = 60  # a process's first frames load what later ones have
 RESUME_WITHIN = 30.0  # s that a session may take to come back
 SOAK_S = 1800.0
 
-Frames = Sequence[Mapping[str, float]]
+Frames = Sequence[Mapping[str, float]] | Sequence[np.ndarray]
+
+
+class Recording(Protocol):
+    """A recording on a rig, as each source has it."""
+
+    files: dict[str, Path]  # that the sources' frames need, by their roles
+
+    def frames(self, source: Source) -> Sequence[np.ndarray]:
+        """Return the numbers of each frame."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -48,19 +58,34 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--soak", type=float, default=SOAK_S, help="seconds of the soak")
 
 
-def run(options: argparse.Namespace) -> Figures:
-    """Return the figures of the parts that are asked for, of the newest rig in a folder."""
+def run(options: argparse.Namespace, recording: Callable[[Path], Recording]) -> Figures:
+    """Return the figures of the parts that are asked for, of the newest rig in a folder.
+
+    ``recording`` has the frames of a rig's file, beside which it may leave others.
+    """
     rate = options.rate
     seconds = options.seconds or 60.0
     found: Figures = {}
     with TemporaryDirectory() as folder, service(options.data, Path(folder) / "data") as stack:
         with Client(stack.url, stack.key) as client:
             rig = client.rigs()[0].id
+            if "sources" in options.parts:
+                beside = Path(folder) / "rig"
+                beside.mkdir()
+                client.download_rig(rig, beside)
+                played = recording(beside / "rig.npz")
         frames = recorded(options.recording, rate, options.first, seconds)
         # the first session makes the rig's live skin
         found["first"] = anyio.run(one_session, stack, rig, frames, rate, 5.0)
         if "session" in options.parts:
             found["session"] = anyio.run(one_session, stack, rig, frames, rate, seconds)
+        if "sources" in options.parts:
+            for source in options.sources:
+                numbers = played.frames(source)
+                captures = _marker_set(stack, rig, played) if source == "markers" else []
+                found[source] = anyio.run(
+                    one_session, stack, rig, numbers, rate, seconds, source, captures
+                )
         if "sessions" in options.parts:
             found["sessions"] = anyio.run(several_sessions, stack, rig, frames, SESSIONS, 30.0)
         if "resume" in options.parts:
@@ -162,14 +187,29 @@ async def play(
                 station.take(frame)
 
 
+def _marker_set(stack: Stack, rig: str, played: Recording) -> list[str]:
+    """Upload a recording's marker set; return its id."""
+    with Client(stack.url, stack.key) as client:
+        subject = client.rig(rig).subject_id
+        path = played.files["marker_set"]
+        return [client.ensure_capture(subject, path, name="live_markers", role="markers").id]
+
+
 async def one_session(
-    stack: Stack, rig: str, frames: Frames, rate: float, seconds: float
+    stack: Stack,
+    rig: str,
+    frames: Frames,
+    rate: float,
+    seconds: float,
+    source: Source = "weights",
+    captures: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Return the figures of one session."""
+    """Return the figures of one session; ``captures`` may have the id of a marker set."""
     station = Station()
     async with AsyncClient(stack.url, stack.key) as client:
         began = time.monotonic()
-        async with client.live(rig, options={"rate": rate}) as face:
+        about: dict[str, Any] = {"source": source, "captures": captures, "options": {"rate": rate}}
+        async with client.live(rig, **about) as face:
             ready = time.monotonic() - began
             await play(face, frames, rate, seconds, station)
     told = round(fmean(station.errors), 4) if station.errors else None

@@ -67,7 +67,7 @@ def unit_rows(vectors: Floats) -> Floats:
 def skew(vectors: Floats) -> Floats:
     """Return the matrices (..., 3, 3) of v x . for ``vectors`` (..., 3)."""
     out = np.zeros((*vectors.shape, 3))
-    x, y, z = np.moveaxis(vectors, -1, 0)
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     out[..., 0, 1] = -z
     out[..., 0, 2] = y
     out[..., 1, 2] = -x

@@ -33,6 +33,8 @@ TOO_LARGE = 1009
 TAKEN_OVER = 4001
 REVOKED = 4003
 
+TOO_FAST = "live.too_fast"
+
 log = structlog.get_logger()
 
 
@@ -68,6 +70,7 @@ class RelayedClient:
         self._name = secrets.token_urlsafe(12)
         self._tokens = options.burst
         self._at = time.monotonic()
+        self._lost_words = 0  # that came too fast, and of which the client has yet to hear
         self._attempt = 0
         self._inbox = Inbox()
         self._came = Event()
@@ -101,9 +104,11 @@ class RelayedClient:
             if len(message.data) > LARGEST:
                 await self._close(TOO_LARGE, f"a message has {LARGEST} bytes at most")
                 return
-            if self._may_send():
-                # by words: what a person sends is no frame unless it has a number
-                is_frame = text is None or '"number"' in text
+            # by words: what a person sends is no frame unless it has a number
+            is_frame = text is None or '"number"' in text
+            if not self._may_send():
+                self._lost_words += not is_frame  # frames are counted by their numbers
+            else:
                 self._inbox.add(Sent(message, number, self._name, is_frame))
                 self._came.set()
 
@@ -150,11 +155,20 @@ class RelayedClient:
             except AWAY as error:
                 await self._rest(error)
                 continue
+            await self._tell_lost()
             for message in self._newest(answers):
                 await self._say(message)
                 if message.words.get("type") == "ended":
                     await self._close(ENDED, "the session has ended")
                     return
+
+    async def _tell_lost(self) -> None:
+        """Say that words were lost, if some were: nobody else will answer them."""
+        if self._lost_words:
+            words = f"{self._lost_words} messages came too fast and are lost: send them again"
+            fault = {"type": "fault", "code": TOO_FAST, "message": words, "number": None}
+            self._lost_words = 0
+            await self._say(Message(json.dumps(fault).encode(), True))
 
     def _newest(self, answers: Sequence[Answered]) -> list[Message]:
         """Return what is sent of answers that wait: all words, and the last frames."""

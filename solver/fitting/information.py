@@ -146,6 +146,18 @@ def inverse_of_positive(matrix: Floats) -> Floats:
     return np.asarray(inverse)
 
 
+def solve_positive(matrix: Floats, right: Floats) -> Floats:
+    """Return x (k,) or (k, r) of matrix x = right for a symmetric positive definite matrix (k, k).
+
+    Raises :class:`SolveError` (``solve.not_finite``) for any other.
+    """
+    _, found, failed = scipy.linalg.lapack.dposv(matrix.T, right, lower=1, overwrite_a=0)
+    if failed or not np.isfinite(found).all():
+        message = "no step: the normal matrix is not positive definite"
+        raise SolveError("solve.not_finite", message)
+    return np.asarray(found)
+
+
 @cache
 def _above(size: int) -> tuple[Ints, Ints]:
     """Return the rows and columns above the diagonal of a square matrix."""

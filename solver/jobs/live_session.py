@@ -26,6 +26,7 @@ from solver.kinds.live_messages import (
 )
 from solver.kinds.live_session import PART, VIEW_FILE
 from solver.kinds.live_session import LiveSession as Options
+from solver.live.checks import SAMPLES_FILE
 from solver.live.session import LiveOptions, LiveSession
 from solver.live.skin import FILE
 from solver.live.takes import LeftTake, TakeWriter, check_name, finish_part
@@ -87,7 +88,12 @@ class _Loop:
         self._rescue_takes()
         given = task.options
         options = LiveOptions(
-            given.source, given.rate, given.smooth_hz, given.send_skin, given.check_seconds
+            given.source,
+            given.rate,
+            given.smooth_hz,
+            given.send_skin,
+            given.check_seconds,
+            resume=task.resume,
         )
         try:
             session = LiveSession.open(task.inputs, task.out, options, self._prepare)
@@ -264,6 +270,7 @@ class _Loop:
         with suppress(ChannelClosedError):
             self._stop(session)
             self._tell({"type": "ended", "reason": reason})
+        (out / SAMPLES_FILE).unlink(missing_ok=True)  # nobody goes on from here
         figures = {} if session is None else session.figures()
         seconds = round(time.monotonic() - self._begin, 1)
         report = {**figures, "dropped": self._dropped, "seconds": seconds, "ended": reason}

@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Protocol
@@ -27,7 +27,7 @@ from typing_extensions import override
 from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.activation import unseen_regulariser
-from solver.fitting.markers.observation import Markers, SeenMarkers
+from solver.fitting.markers.observation import MarkerOptions, Markers, SeenMarkers
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.dense import DensePoints, HeadAndFace, SeenPoints, stillness
@@ -37,6 +37,8 @@ from solver.live.rigged import LiveFace
 from solver.scans.markers.places.marker_set import MarkerSet
 from solver.surface import Floats
 
+# Frames that were solved, for an attempt that goes on where a worker died
+SAMPLES_FILE = "live_samples.npz"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -45,8 +47,10 @@ class CheckOptions:
     """How frames are solved beside a session."""
 
     pause_s: float = 0.1  # between two of them
+    usual_s: float = 0.15  # from one to the next, about: they take their time, too
     niceness: int = 10  # of their process: frames come first
     ending_s: float = 1.0  # that it gets to end: it has nothing to lose
+    keeping_s: float = 5.0  # between two times that the frames which were solved are written
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +85,10 @@ class CheckOrder:
     files: Mapping[str, Path]
     out: Path  # where the session has left the reduced skin
     source: Source
+    rate: float  # frames a second that come
     options: CheckOptions
+    clues: int  # of a frame
+    resume: bool = False  # whether frames that an attempt before has solved are known
 
 
 class FullSolver(Protocol):
@@ -110,14 +117,23 @@ class FleshSolver(FullSolver):
 
 
 class MarkerSolver(FullSolver):
-    """The fit of a take's markers, by the prior of the template's expressions."""
+    """The fit of a take's markers, by the prior of the template's expressions.
 
-    def __init__(self, face: LiveFace, markers: MarkerSet, seconds: float) -> None:
+    Frames come ``seconds`` apart, and each stands for as many ``alike`` as the take has in that
+    time: what a take tells of muscles little by little, over a second, a few frames tell as well.
+    """
+
+    def __init__(
+        self, face: LiveFace, markers: MarkerSet, seconds: float, alike: float = 1.0
+    ) -> None:
         places = MarkerPlaces(face.rig.model, markers.used)
-        sigma = np.array([marker.sigma_mm for marker in markers.used])
+        spread = 1.0 / np.sqrt(max(alike, 1.0))
+        sigma = spread * np.array([marker.sigma_mm for marker in markers.used])
         known = prior.from_basis(face.face, face.basis)
+        usual = MarkerOptions()
+        options = replace(usual, noise_mm=spread * usual.noise_mm)
         self._session = markers.session
-        self._tracker = Tracker(Markers(face.face, places, sigma, known, seconds))
+        self._tracker = Tracker(Markers(face.face, places, sigma, known, seconds, options))
 
     @override
     def solve(self, sample: Sample) -> Floats | None:
@@ -146,23 +162,39 @@ class PointSolver(FullSolver):
 
 
 def open_solver(
-    face: LiveFace, source: Source, files: Mapping[str, Path], pause: float
+    face: LiveFace, source: Source, files: Mapping[str, Path], seconds: float, alike: float = 1.0
 ) -> FullSolver:
-    """Return what solves frames of a source that come ``pause`` seconds after each other."""
+    """Return what solves frames of a source that come ``seconds`` after each other.
+
+    Each stands for as many ``alike`` of the take.
+    """
     if source == "markers":
         markers = MarkerSet.load(files["marker_set"], face.rig.model)
-        return MarkerSolver(face, markers, pause)
+        return MarkerSolver(face, markers, seconds, alike)
     return PointSolver(face) if source == "points" else FleshSolver(face)
 
 
 class Checks:
-    """Solves samples in full, one after another, and mends the skin by them."""
+    """Solves samples in full, one after another, and mends the skin by them.
 
-    def __init__(self, face: LiveFace, solver: FullSolver) -> None:
+    They are kept in a file, with which a session that is resumed begins.
+    """
+
+    def __init__(self, face: LiveFace, solver: FullSolver, order: CheckOrder) -> None:
         self._face = face
         self._solver = solver
         self._mender = Mender()
         self._shown = face.rig.model.face
+        self._file = order.out / SAMPLES_FILE
+        self._keeping_s = order.options.keeping_s
+        self._kept = time.monotonic()
+        if order.resume and self._file.is_file():
+            features = len(face.live.names) + order.clues
+            self._mender.load(self._file, features, len(face.live.basis))
+
+    def known(self) -> Mend | None:
+        """Return what is known of the skin before any frame is solved; None: nothing."""
+        return self._mender.mend()
 
     def check(self, sample: Sample) -> Checked:
         """Solve a sample."""
@@ -174,16 +206,24 @@ class Checks:
         off = (self._face.skin_of(sample.sent) - skin)[self._shown]
         error = float(np.linalg.norm(off, axis=1).mean())
         self._mender.add(sample.values, sample.clues, self._face.project(skin) - sample.plain)
+        if time.monotonic() - self._kept > self._keeping_s:
+            self._mender.save(self._file)
+            self._kept = time.monotonic()
         return Checked(sample.number, error, spent, self._mender.mend())
 
 
 class CheckProcess:
     """The process of full solves, and the thread that talks to it.
 
-    ``tell`` gets what was solved, in that thread.
+    In that thread ``begin`` gets what is known of the skin, and ``tell`` what was solved.
     """
 
-    def __init__(self, order: CheckOrder, tell: Callable[[Checked], None]) -> None:
+    def __init__(
+        self,
+        order: CheckOrder,
+        begin: Callable[[Mend | None], None],
+        tell: Callable[[Checked], None],
+    ) -> None:
         context = multiprocessing.get_context("spawn")
         # two pipes: a confined process may make no pair of sockets
         theirs, self._send = context.Pipe(duplex=False)
@@ -194,6 +234,7 @@ class CheckProcess:
         theirs.close()
         answer.close()
         self._options = order.options
+        self._begin = begin
         self._tell = tell
         self._orders: queue.SimpleQueue[Sample | None] = queue.SimpleQueue()
         self._is_idle = False
@@ -223,7 +264,7 @@ class CheckProcess:
 
     def _talk(self) -> None:
         with suppress(EOFError, OSError):  # the process has died: there are no more checks
-            self._receive.recv()  # it is ready
+            self._begin(self._receive.recv())  # it is ready
             while True:
                 self._is_idle = True
                 sample = self._orders.get()
@@ -259,9 +300,10 @@ def _work(order: CheckOrder, receive: Connection, send: Connection) -> None:
     with suppress(OSError):
         os.nice(order.options.niceness)
     face = LiveFace.open(order.files, order.out)
-    pause = max(order.options.pause_s, 1e-2)
-    checks = Checks(face, open_solver(face, order.source, order.files, pause))
+    usual = max(order.options.pause_s, order.options.usual_s)
+    solver = open_solver(face, order.source, order.files, usual, usual * order.rate)
+    checks = Checks(face, solver, order)
     with suppress(EOFError, BrokenPipeError):
-        send.send(None)
+        send.send(checks.known())
         while (sample := receive.recv()) is not None:
             send.send(checks.check(sample))

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from solver.fitting.information import inverse_of_positive
+from solver.fitting.information import inverse_of_positive, solve_positive
+from solver.fitting.markers.prediction import RatedPlaces
 from solver.fitting.markers.robust import Judge, JudgedFrame, RobustOptions
 from solver.fitting.markers.term import HeadOptions, HeadPrior, MarkerPlaces, MarkerTerm
 from solver.fitting.prior import GaussianPrior
@@ -24,7 +24,7 @@ from solver.live.source import FollowedFace, LiveSource
 from solver.model import SubjectModel
 from solver.rig.frames.skin_basis import ReducedSkin
 from solver.rig.preview.sliders import Sliders
-from solver.scans.markers.places.marker_set import Marker
+from solver.scans.markers.places.marker_set import Marker, places_over
 from solver.similarity import Similarity
 from solver.surface import Floats
 
@@ -42,34 +42,62 @@ class ReducedPlaces(MarkerPlaces):
         on_bone = np.repeat([marker.place_mm is not None for marker in markers], 3)
         basis = np.where(on_bone[:, None], 0.0, skin.basis[:, ids].astype(np.float64))
         self._basis = basis.reshape(len(basis), -1)
+        # (k, 9, r) of each triangle's corners by the amounts
+        by_amounts = basis.reshape(len(basis), len(markers), 9).transpose(1, 2, 0)
+        self._by_amounts = np.ascontiguousarray(by_amounts)
         self._rest = super().corners(model.rest).reshape(-1, 3)
-        self._on_jaw = np.repeat([marker.part == "lower_teeth" for marker in markers], 3)
+        on_jaw = np.array([marker.part == "lower_teeth" for marker in markers], bool)
+        self._on_jaw = np.flatnonzero(on_jaw)
+        self._jaw_corners = np.flatnonzero(np.repeat(on_jaw, 3))
         layout = sliders.rest.layout
         self._jaw_rates = sliders.directions[layout.joint_places]
-        self._last: tuple[Floats, Floats] | None = None
+        self._last: _Placed | None = None
 
+    @override
+    def at(self, x: Floats) -> Floats:
+        return self._placed(x).places
+
+    @override
     def corners(self, x: Floats) -> Floats:
         """Return the corners (k, 3, 3) of the markers' triangles for slider values x (s,)."""
-        # a frame asks several times, and the next begins where it ended
-        if self._last is None or not np.array_equal(self._last[0], x):
-            self._last = x.copy(), self._corners_at(x)
-        return self._last[1]
+        return self._placed(x).corners
 
-    def _corners_at(self, x: Floats) -> Floats:
-        points = self._rest + (self._skin.amounts(x) @ self._basis).reshape(-1, 3)
-        if self._on_jaw.any():
-            b = self._sliders.jaw_numbers(x)
-            points[self._on_jaw] = self._sliders.jaw.move(self._rest[self._on_jaw], b)
-        return np.asarray(points.reshape(-1, 3, 3))
+    def _placed(self, x: Floats) -> _Placed:
+        # a frame asks several times, and the next begins where it ended
+        if self._last is None or not np.array_equal(self._last.values, x):
+            amounts, rates = self._skin.amounts_and_rates(x)
+            points = self._rest + (amounts @ self._basis).reshape(-1, 3)
+            if len(self._on_jaw):
+                still = self._rest[self._jaw_corners]
+                points[self._jaw_corners] = self._sliders.jaw.move(
+                    still, self._sliders.jaw_numbers(x)
+                )
+            corners = points.reshape(-1, 3, 3)
+            places = places_over(corners, self.weights, self.heights)
+            self._last = _Placed(x.copy(), rates, corners, places)
+        return self._last
 
     def jacobian(self, x: Floats) -> Floats:
         """Return the derivative of the places by slider values, (3 k, s)."""
-        by_corner = (self._basis.T @ self._skin.amount_rates(x)).reshape(-1, 3, len(x))
-        if self._on_jaw.any():
-            b = self._sliders.jaw_numbers(x)
-            direct = self._sliders.jaw.jacobian(self._rest[self._on_jaw], b)
-            by_corner[self._on_jaw] = direct @ self._jaw_rates
-        return self.motion(x, by_corner.reshape(len(self), 9, -1))
+        by_corners = self.by_corners(x)
+        rates = self._placed(x).amount_rates
+        by_amounts = (by_corners @ self._by_amounts).reshape(-1, len(rates))
+        found = (by_amounts @ rates).reshape(len(self), 3, -1)
+        if len(self._on_jaw):
+            still = self._rest[self._jaw_corners]
+            direct = self._sliders.jaw.jacobian(still, self._sliders.jaw_numbers(x))
+            direct = (direct @ self._jaw_rates).reshape(-1, 9, len(x))
+            found[self._on_jaw] = by_corners[self._on_jaw] @ direct
+        return np.asarray(found.reshape(3 * len(self), -1))
+
+
+class _Placed(NamedTuple):
+    """Places (k, 3) by slider values (s,), with the corners, and the amounts' rates (r, s)."""
+
+    values: Floats
+    amount_rates: Floats
+    corners: Floats  # (k, 3, 3)
+    places: Floats
 
 
 @dataclass(frozen=True)
@@ -116,7 +144,7 @@ class ExpectedFrame:
     head: HeadPrior
     at: Floats  # (k, 3) in the head's frame
     jacobian: Floats  # (3 k, s) their derivative by the values
-    covariance: Floats  # (s, s) of these
+    precision: Floats  # (s, s) of these
 
 
 class PointJudge(Protocol):
@@ -132,14 +160,16 @@ class LabelJudge(PointJudge):
     """Judges points as in takes, where labels may be wrong."""
 
     def __init__(self, places: MarkerPlaces, options: FollowOptions) -> None:
+        self._places = places
         self._judge = Judge(places, options.robust, options.head)
 
     @override
     def term(
         self, expected: ExpectedFrame, seen: Floats, precision: Floats
     ) -> tuple[JudgedFrame, MarkerTerm]:
-        spread = expected.jacobian @ expected.covariance @ expected.jacobian.T
-        return self._judge.term(expected.head, expected.at, spread, seen, precision)
+        known = (expected.at, expected.jacobian, expected.precision)
+        prediction = RatedPlaces.of(expected.head, self._places.centre, *known)
+        return self._judge.term(expected.head, prediction, seen, precision)
 
 
 class PlaceFollower:
@@ -177,11 +207,11 @@ class PlaceFollower:
         """Follow a frame ``seconds`` after the last: points ``seen`` (k, 3) in mm, NaN for none."""
         options = self.options
         before = self.memory
+        head = self._head_before(seen, seconds)
         prior = self._prior.after(before.values, before.covariance, seconds, options.forgetting)
         values = np.clip(prior.mean, options.lower, options.upper)
         jacobian = self.places.jacobian(values)
-        head = self._head_before(seen, seconds)
-        expected = ExpectedFrame(head, self.places.at(values), jacobian, prior.covariance)
+        expected = ExpectedFrame(head, self.places.at(values), jacobian, prior.precision)
         judged, term = self._judge.term(expected, seen, self._precision)
         values, normal = self._fit(term, prior, values, jacobian)
         placed = term.place(self.places.at(values))
@@ -206,8 +236,7 @@ class PlaceFollower:
             pull = (term.precision * placed.offsets) @ placed.head.rotation
             slope = jacobian.T @ pull.ravel() + precision @ (values - prior.mean)
             normal = term.normal(placed, jacobian) + precision
-            change = scipy.linalg.solve(normal, slope, assume_a="pos")
-            values = np.clip(values - change, options.lower, options.upper)
+            values = np.clip(values - solve_positive(normal, slope), options.lower, options.upper)
         return values, normal
 
     def _head_before(self, seen: Floats, seconds: float) -> HeadPrior:

@@ -50,6 +50,7 @@ class LiveOptions:
     smooth_hz: float | None = None
     send_skin: bool = False
     check_seconds: float = 0.1  # 0: no frames are solved in full
+    resume: bool = False  # whether it goes on for a session that left its files in the same folder
     gap_s: float = 1.0  # from which on what was before counts no more
     window_s: float = 10.0  # of the running error
     farthest: float = 1e5  # of a frame's numbers: what is beyond counts as not seen
@@ -157,7 +158,9 @@ class LiveSession:
             each = speeds.value, speeds.amount, speeds.turn_rad, speeds.shift_mm
             scale = np.repeat(each, (count, modes, 3, 3))
             self._smoother = Smoother(OneEuro(options.smooth_hz), scale)
-        self._checks = CheckProcess(order, self._take_check) if order is not None else None
+        self._checks = None
+        if order is not None:
+            self._checks = CheckProcess(order, self._take_mend, self._take_check)
 
     @classmethod
     def open(
@@ -181,7 +184,15 @@ class LiveSession:
         order = None
         if options.check_seconds > 0:
             checks = CheckOptions(options.check_seconds)
-            order = CheckOrder(dict(files), out, options.source, checks)
+            order = CheckOrder(
+                dict(files),
+                out,
+                options.source,
+                options.rate,
+                checks,
+                source.clue_count,
+                options.resume,
+            )
         return cls(face, source, options, order, digest)
 
     @property
@@ -350,9 +361,12 @@ class LiveSession:
     def _take_check(self, found: Checked) -> None:
         """Take what was solved in full, in the thread that waits for it."""
         self.errors.add(found.error_mm, time.monotonic())
-        if found.mend is not None:
+        self._take_mend(found.mend)
+
+    def _take_mend(self, mend: Mend | None) -> None:
+        if mend is not None:
             with self._lock:
-                self._mend = found.mend
+                self._mend = mend
 
 
 def arrays_of(frame: FollowedFrame, layout: Layout) -> dict[str, Floats]:

@@ -39,8 +39,8 @@ class LiveSkinOptions:
 
     seed: int = 1
     seconds: float = 900.0
-    spare: int = 128  # modes of muscles
-    directions: int = 256  # of muscles and jaw, the most probable, that these are made of
+    spare: int = 192  # modes of muscles
+    block: int = 64  # of the controls whose motions are made at a time
     preview: PreviewOptions = field(
         default_factory=lambda: PreviewOptions(reduction=ReductionOptions(modes=96))
     )
@@ -136,20 +136,24 @@ def muscle_modes(
 ) -> NDArray[np.float16]:
     """Return modes (t, n, 3) of what muscles and jaw do at rest, less what ``modes`` (r, n, 3) do.
 
-    It is the flesh's linear response to the main directions of the expressions' prior, each as far
-    as it is probable.
+    It is the flesh's linear response, each motion as far as it is probable. All controls count: the
+    expressions' prior leaves those that no expression has alike, and which of them a full solve
+    will use is the markers' to say. Of the most probable 256 directions alone 128 modes left
+    0.11 mm of fits of 79 markers, of all 0.08 mm.
     """
-    values, vectors = np.linalg.eigh(prior.from_basis(face, basis).covariance)
-    main = np.argsort(values)[::-1][: options.directions]
-    directions = vectors[:, main] * np.sqrt(np.maximum(values[main], 0.0))
-    moved = Sensitivity(face, face.rest).motions_along(directions)
-    flesh = moved.reshape(len(face.model.rest), 3, -1)
-    by_jaw = directions[face.layout.joint_places]
-    motions = np.moveaxis(face.skin_rates(flesh, face.rest.pose.b, by_jaw), 2, 0)
-    weights = skin_weights(face.model, options.preview)
+    spread = prior.from_basis(face, basis).covariance
+    root = np.asarray(np.linalg.cholesky(spread), np.float64)
+    sensitivity = Sensitivity(face, face.rest)
     rows = SkinProjection(face.model, modes).rows
-    known = motions.reshape(len(motions), -1) @ rows.T
-    left = motions - np.tensordot(known, modes, 1)
+    left = np.empty((root.shape[1], *face.model.skin.vertices.shape), np.float32)
+    for first in range(0, len(left), options.block):
+        some = slice(first, first + options.block)
+        flesh = sensitivity.motions_along(root[:, some]).reshape(len(face.model.rest), 3, -1)
+        by_jaw = root[face.layout.joint_places, some]
+        motions = np.moveaxis(face.skin_rates(flesh, face.rest.pose.b, by_jaw), 2, 0)
+        known = motions.reshape(len(motions), -1) @ rows.T
+        left[some] = motions - np.tensordot(known, modes, 1)
+    weights = skin_weights(face.model, options.preview)
     found = modes_of(left, weights, ReductionOptions(modes=options.spare))
     return np.asarray(found / np.abs(found).max(axis=(1, 2), keepdims=True), np.float16)
 

@@ -28,7 +28,7 @@ from typing_extensions import override
 from solver.mechanics.boundary import JawMotion, rotation
 from solver.model import JawFrame
 from solver.similarity import weighted_motion
-from solver.surface import Floats, skew
+from solver.surface import Floats
 
 TRACK_FREEDOM = 3  # the angle, and how far each condyle slid
 NEAREST_STEPS = 20  # most steps of the search for a jaw
@@ -151,16 +151,15 @@ class JawTracks(JawMotion):
 
     def _motion_anew(self, b: Floats) -> _Motion:
         u = self.frame.axes[0]
-        across = skew(u)
         (left, by_left), (right, by_right) = self._way(b[1]), self._way(b[2])
         open_, by_angle = rotation(u, b[0])
         d = (left - right) / self.apart
         c = np.sqrt(1.0 - d @ d)
-        K = skew(across @ d)
+        K = np.outer(d, u) - np.outer(u, d)  # (u x d) x
         turn = np.eye(3) + K + K @ K / (1.0 + c)
         rates = [turn @ by_angle]
         for rate in (by_left / self.apart, -by_right / self.apart):
-            dK = skew(across @ rate)
+            dK = np.outer(rate, u) - np.outer(u, rate)
             dc = -(d @ rate) / c
             by_slide = dK + (dK @ K + K @ dK) / (1.0 + c) - K @ K * (dc / (1.0 + c) ** 2)
             rates.append(by_slide @ open_)

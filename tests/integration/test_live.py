@@ -70,6 +70,12 @@ def _next_frame(socket: Any, timeout: float = 10) -> FollowedFrame:
     return FollowedFrame.unpack(message)
 
 
+def _next_text(socket: Any, timeout: float = 10) -> str:
+    while not isinstance(message := socket.recv(timeout), str):
+        pass
+    return message
+
+
 def _listen(receive: Callable[[], Any]) -> None:
     """Receive until that raises."""
     for _ in range(1000):
@@ -200,6 +206,11 @@ def test_what_comes_too_fast_is_dropped_and_counted(live: tuple[Stack, Studio, s
             seen += 1
         assert last.dropped > many / 10
         assert seen + last.dropped <= many
+        for _ in range(many):
+            socket.send('{"stop": true}')
+        while (said := json.loads(_next_text(socket))).get("code") != "live.too_fast":
+            pass
+        assert said["message"].endswith("messages came too fast and are lost: send them again")
         socket.send(bytes(LARGEST + 1))
         with pytest.raises(ConnectionClosed) as closed:
             _listen(lambda: socket.recv(10))

@@ -33,6 +33,7 @@ from solver.fitting.markers.filter import (
     is_of_same,
     with_room,
 )
+from solver.fitting.markers.prediction import PredictedPlaces
 from solver.fitting.markers.robust import Judge, JudgedFrame, RobustOptions
 from solver.fitting.markers.shape_regression import RegressionOptions, ShapeRegression
 from solver.fitting.markers.term import (
@@ -260,7 +261,8 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
         precision = self._precision(seen.sigma)
         points = seen.points
         free = seen.unlabelled
-        judged, term = self._judge.term(head, at, spread, points, precision, free)
+        prediction = PredictedPlaces.of(head, self.places.centre, at, spread)
+        judged, term = self._judge.term(head, prediction, points, precision, free)
         if not term.precision.any():
             state = solver.state
             mean = self._expect(prior, seen.known)

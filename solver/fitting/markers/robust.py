@@ -3,10 +3,10 @@
     p ~ N(predicted, S),    o_k = p_k + e_k,    e_k ~ N(0, Lambda_k^-1 / w_k)
 
 p (3 k,) are the markers' places in the take: the spread S comes from the controls and the head as
-they are before the frame. Weights w are Geman and McClure's (1987), graduated: their scale falls
-round by round, so that a wrong marker loses its weight before it has bent the face (Blake and
-Zisserman 1987). What a label lost is looked for among points of other labels and of tracks without
-one, by assignment to the predicted places: swaps and ghosts.
+they are before the frame (:mod:`.prediction`). Weights w are Geman and McClure's (1987), graduated:
+their scale falls round by round, so that a wrong marker loses its weight before it has bent the
+face (Blake and Zisserman 1987). What a label lost is looked for among points of other labels and of
+tracks without one, by assignment to the predicted places: swaps and ghosts.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from solver.fitting.markers.term import HeadOptions, HeadPrior, MarkerPlaces, MarkerTerm, head_rates
+from solver.fitting.markers.prediction import Prediction
+from solver.fitting.markers.term import HeadOptions, HeadPrior, MarkerPlaces, MarkerTerm
 from solver.similarity import robust_weights
-from solver.surface import Floats, Ints
+from solver.surface import Floats
 
 MarkerState = Literal["seen", "missing", "outlier", "swapped", "relabelled"]
 
@@ -43,64 +43,6 @@ class RobustOptions:
         """Scales for points that passed: of the rounds, none below twice the last."""
         least = 2.0 * self.scales[-1]
         return (*(each for each in self.scales if each > least), least)
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Markers' places ``points`` (k, 3) in the take before a frame, and their covariance."""
-
-    points: Floats
-    covariance: Floats  # (3 k, 3 k)
-
-    @classmethod
-    def of(cls, head: HeadPrior, centre: Floats, places: Floats, spread: Floats) -> Prediction:
-        """Return where markers at ``places`` (k, 3) in the head's frame are seen.
-
-        ``spread`` (3 k, 3 k) is the covariance of the places in the head's frame, ``centre`` (3,)
-        what the head's motion is counted about.
-        """
-        points = head.motion(places)
-        rotation = head.motion.rotation
-        # every block of three rows, then every block of three columns
-        turned = (rotation @ spread.reshape(len(places), 3, -1)).reshape(-1, 3) @ rotation.T
-        by_head = head_rates(points - head.motion(centre[None]))
-        covariance = turned.reshape(spread.shape)
-        covariance += by_head @ np.linalg.solve(head.precision, by_head.T)
-        return cls(points, covariance)
-
-    def condition(self, seen: Floats, precision: Floats) -> Prediction:
-        """Return the places given points ``seen`` (k, 3) of ``precision`` (k, 3), 0 for none."""
-        rows = np.flatnonzero(precision.ravel() > 0.0)
-        gain, spread = self._gain(rows, precision)
-        scaled = scipy.linalg.solve(spread, gain.T, assume_a="pos") if len(rows) else gain.T
-        step = (seen - self.points).ravel()[rows] @ scaled
-        return Prediction(self.points + step.reshape(-1, 3), self.covariance - gain @ scaled)
-
-    def conditional_mean(self, seen: Floats, precision: Floats) -> Floats:
-        """Return the places (k, 3) of :meth:`condition`, without their covariance."""
-        rows = np.flatnonzero(precision.ravel() > 0.0)
-        if not len(rows):
-            return self.points
-        gain, spread = self._gain(rows, precision)
-        off = (seen - self.points).ravel()[rows]
-        factor = scipy.linalg.cho_factor(spread, overwrite_a=True, check_finite=False)
-        step = gain @ scipy.linalg.cho_solve(factor, off, check_finite=False)
-        return np.asarray(self.points + step.reshape(-1, 3))
-
-    def _gain(self, rows: Ints, precision: Floats) -> tuple[Floats, Floats]:
-        """Return the columns ``rows`` of the covariance, and that of what is seen there."""
-        everything = len(rows) == len(self.covariance)  # is not gathered
-        gain = self.covariance if everything else self.covariance[:, rows]
-        spread = gain.copy() if everything else gain[rows]
-        spread[np.diag_indices_from(spread)] += 1.0 / precision.ravel()[rows]
-        return gain, spread
-
-    @property
-    def sd(self) -> Floats:
-        """Return the greatest of a marker's three standard deviations, (k,) mm."""
-        count = len(self.points)
-        blocks = self.covariance.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
-        return np.asarray(np.sqrt(np.linalg.eigvalsh(blocks)[:, -1]))
 
 
 @dataclass(frozen=True)
@@ -161,19 +103,17 @@ class Judge:
     def term(
         self,
         head: HeadPrior,
-        at: Floats,
-        spread: Floats,
+        prediction: Prediction,
         seen: Floats,
         precision: Floats,
         unlabelled: Floats | None = None,
     ) -> tuple[JudgedFrame, MarkerTerm]:
         """Return a frame judged, and its term: the precision of a point is 0 where it is wrong.
 
-        The markers are probably ``at`` (k, 3) in the head's frame, with the covariance ``spread``
-        (3 k, 3 k); other arguments are those of :func:`judge`.
+        ``head`` is what is known of it before the frame; other arguments are those of
+        :func:`judge`.
         """
         free = np.zeros((0, 3)) if unlabelled is None else unlabelled
-        prediction = Prediction.of(head, self.places.centre, at, spread)
         judged = judge(prediction, seen, precision, free, self.robust)
         used = precision * judged.weights[:, None]
         target = np.where(used > 0.0, judged.points, np.nan)

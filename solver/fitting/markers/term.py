@@ -15,17 +15,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from typing_extensions import override
 
 from solver.anatomy.embedding import rows_of
 from solver.contact.mouth import Mandible
 from solver.fitting.information import inverse_of_positive
+from solver.fitting.markers.placing import PlacedHead, place_head, rates_over
 from solver.fitting.objective import GramCurvature, Term
 from solver.fitting.sensitivity import Jacobian
 from solver.model import SubjectModel
@@ -98,17 +97,7 @@ class MarkerPlaces:
 
     def by_corners(self, x: Floats) -> Floats:
         """Return each place's derivative (k, 3, 9) by its triangle's corners, one after another."""
-        corners = self.corners(x)
-        normals, lengths = _normals(corners)
-        across = np.eye(3) - normals[:, :, None] * normals[:, None, :]
-        across *= (self.heights / lengths)[:, None, None]
-        first = corners[:, 1] - corners[:, 0]
-        second = corners[:, 2] - corners[:, 0]
-        by_first = -across @ skew(second)
-        by_second = across @ skew(first)
-        by_normal = np.stack([-by_first - by_second, by_first, by_second], axis=2)
-        local = by_normal + self.weights[:, None, :, None] * np.eye(3)[None, :, None, :]
-        return np.asarray(local.reshape(-1, 3, 9))
+        return np.asarray(rates_over(self.corners(x), self.weights, self.heights))
 
 
 def _corner_rows(model: SubjectModel, markers: Sequence[Marker]) -> tuple[sp.csr_array, Floats]:
@@ -138,13 +127,6 @@ def _corner_rows(model: SubjectModel, markers: Sequence[Marker]) -> tuple[sp.csr
     fixed[on_flesh] = model.offset[row[ids[on_flesh]]]
     fixed[on_jaw] = 0.0
     return sp.csr_array(rows), fixed
-
-
-def _normals(corners: Floats) -> tuple[Floats, Floats]:
-    """Return unit normals (k, 3) of triangles, and twice their areas (k,)."""
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(cross, axis=1)
-    return cross / lengths[:, None], lengths
 
 
 def head_rates(arms: Floats) -> Floats:
@@ -249,16 +231,6 @@ class PlacedMarkers:
     precision: Floats  # (6, 6) of the head, the face being known
 
 
-class _TurnedMarkers(NamedTuple):
-    """Markers after a small motion of the head: see :class:`PlacedMarkers`."""
-
-    rotation: Floats  # (3, 3) of the small motion
-    points: Floats
-    offsets: Floats
-    by_head: Floats
-    normal: Floats
-
-
 @dataclass(frozen=True)
 class MarkerTerm(Term):
     """f for what was seen in one frame: an :class:`~solver.fitting.objective.Term`.
@@ -322,21 +294,19 @@ class MarkerTerm(Term):
             return known[-1][1]
         # places that were asked for before are near by
         xi = known[-1][2] if known else self._start(places)
+        options = self.options
         arms = self.head.motion(places) - self._centre
-        now = self._turn_arms(arms, xi)
-        for _ in range(self.options.steps):
-            slope = now.by_head.T @ (self.precision * now.offsets).ravel()
-            step = -np.linalg.solve(now.normal, slope + self.head.precision @ xi)
-            if np.abs(step).max() < self.options.accuracy:
-                break
-            # a further rotation, composed; it is small
-            turned = Rotation.from_rotvec(step[:3]) * Rotation.from_rotvec(xi[:3])
-            xi = np.concatenate([turned.as_rotvec(), xi[3:] + step[3:]])
-            now = self._turn_arms(arms, xi)
-        about = Similarity(1.0, np.eye(3), -self._centre)
-        small = Similarity(1.0, now.rotation, xi[3:])
-        head = self.head.motion.then(about).then(small).then(about.inverse())
-        placed = PlacedMarkers(head, now.points, now.offsets, now.by_head, now.normal)
+        seen = self.seen - self._centre
+        about = (arms, seen, self.precision, self.head.precision)
+        now: PlacedHead = place_head(*about, xi, options.steps, options.accuracy)
+        xi = now.xi
+        # the small motion is one about the centre
+        shift = xi[3:] + self._centre
+        before = self.head.motion
+        turned = now.rotation @ (before.shift - self._centre)
+        head = Similarity(before.scale, now.rotation @ before.rotation, turned + shift)
+        points = now.arms + shift
+        placed = PlacedMarkers(head, points, now.offsets, head_rates(now.arms), now.normal)
         own = np.sum(self.precision * now.offsets**2)
         value = 0.5 * float(own + xi @ self.head.precision @ xi)
         known[:] = [(places, placed, xi, value)]
@@ -355,13 +325,3 @@ class MarkerTerm(Term):
     def _centre(self) -> Floats:
         """The point (3,) that the head turns about, in the take."""
         return np.asarray(self.head.motion(self.places.centre[None])[0])
-
-    def _turn_arms(self, arms: Floats, xi: Floats) -> _TurnedMarkers:
-        """Return markers that are ``arms`` (k, 3) off the head's centre after its motion xi."""
-        rotation = Rotation.from_rotvec(xi[:3]).as_matrix()
-        arms = arms @ rotation.T
-        points = arms + (xi[3:] + self._centre)
-        offsets = np.where(self.precision > 0.0, points - self.seen, 0.0)
-        by_head = head_rates(arms)
-        normal = by_head.T @ (self.precision.ravel()[:, None] * by_head) + self.head.precision
-        return _TurnedMarkers(rotation, points, offsets, by_head, normal)

@@ -213,6 +213,12 @@ class ReducedSkin:
         """Return the derivative of q by the sliders, (r, k)."""
         return np.asarray(self.linear + 2.0 * self._bend(values))
 
+    def amounts_and_rates(self, values: Floats) -> tuple[Floats, Floats]:
+        """Return :meth:`amounts` and :meth:`amount_rates`, which have a part in common."""
+        bend = self._bend(values)
+        first = self.linear + bend
+        return np.asarray(first @ values), np.asarray(first + bend)
+
     def _bend(self, values: Floats) -> Floats:
         """Return half the derivative (r, k) of the quadratic part."""
         return (self._symmetric @ values).reshape(self.linear.shape)

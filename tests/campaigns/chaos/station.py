@@ -15,8 +15,8 @@ OPENS_WITHIN = 60.0
 class Station(threading.Thread):
     """Sends frames of a live session on a rig until ``close`` is called, and receives its faces.
 
-    ``longest_s`` is the longest time between two faces that followed, ``error`` what ended the
-    session before that.
+    ``longest_s`` is the longest time between two faces that followed, ``since`` the moment when it
+    began, by the monotonic clock, ``error`` what ended the session before that.
     """
 
     def __init__(self, url: str, key: str, rig_id: str) -> None:
@@ -24,6 +24,7 @@ class Station(threading.Thread):
         self.session = ""
         self.followed = 0
         self.longest_s = 0.0
+        self.since = 0.0
         self.error: str | None = None
         self._where = url, key
         self.rig_id = rig_id
@@ -52,10 +53,15 @@ class Station(threading.Thread):
                     if face.receive(FRAME_S) is None:
                         continue
                     now = time.monotonic()
-                    self.longest_s = max(self.longest_s, now - last)
+                    self._note(last, now)
                     last = now
                     self.followed += 1
                     self._opened.set()
-                self.longest_s = max(self.longest_s, time.monotonic() - last)
+                self._note(last, time.monotonic())
         except ApiError as error:
             self.error = str(error)
+
+    def _note(self, last: float, now: float) -> None:
+        if now - last > self.longest_s:
+            self.longest_s = now - last
+            self.since = last

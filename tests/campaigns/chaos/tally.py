@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -34,6 +35,7 @@ class Tally:
         self._states: Counter[str] = Counter()
         self._outcomes: Counter[str] = Counter()
         self._checks: list[tuple[str, object, bool]] = []
+        self._ends: list[tuple[float, str]] = []  # of blows, by the monotonic clock
 
     @property
     def is_fine(self) -> bool:
@@ -43,6 +45,7 @@ class Tally:
     def struck(self, blow: str, hit: bool) -> None:
         """Count a blow."""
         (self._blows if hit else self._missed)[blow] += 1
+        self._ends.append((time.monotonic(), blow))
 
     def settle(self, stage: Stage) -> None:
         """Wait for the jobs and check what is left of them."""
@@ -127,9 +130,18 @@ class Tally:
         found = f"{job.state.value}, ended {ends} times, lost {job.lost} times"
         fine = job.state is State.SUCCEEDED and ends == 1 and not job.lease_owner
         self._check("the live session", found, fine)
-        told = f"{station.longest_s:.1f} of {station.followed} faces {station.error or ''}"
+        during = self._during(station.since, station.longest_s)
+        told = (
+            f"{station.longest_s:.1f} of {station.followed} faces, {during} {station.error or ''}"
+        )
         fine = station.longest_s < STILL and station.error is None
-        self._check("a live face stood still, s", told.strip(), fine)
+        self._check("a live face stood still, s", f"{told} {station.error or ''}".strip(), fine)
+
+    def _during(self, since: float, seconds: float) -> str:
+        """Return the blows that ended within so long since a moment, and the one under way then."""
+        after = [(moment, blow) for moment, blow in self._ends if moment >= since]
+        count = sum(moment <= since + seconds for moment, _ in after)
+        return ", ".join(blow for _, blow in after[: count + 1]) or "after all blows"
 
     def _of_the_files(self, stage: Stage) -> None:
         """Compare the stored files with the rows that refer to files."""

@@ -13,10 +13,11 @@ from solver.fitting.expression_basis import LINEAR, ExpressionBasis
 from solver.fitting.face import Face
 from solver.fitting.markers.observation import MarkerOptions, Markers, SeenMarkers
 from solver.fitting.markers.places import RefineOptions, frames_near_neutral, refine, triangle_axes
+from solver.fitting.markers.prediction import PredictedPlaces, RatedPlaces
 from solver.fitting.markers.reach import reach
-from solver.fitting.markers.robust import Prediction, RobustOptions, judge
+from solver.fitting.markers.robust import RobustOptions, judge
 from solver.fitting.markers.smooth import TracedFrame, smooth
-from solver.fitting.markers.term import MarkerPlaces
+from solver.fitting.markers.term import HeadPrior, MarkerPlaces
 from solver.fitting.tracking import Tracker
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.scans.markers.places.bind import model_face, place_on
@@ -167,7 +168,7 @@ def test_points_are_judged_by_what_the_others_say():
     points = np.zeros((10, 3))
     points[:, 0] = 10.0 * np.arange(10)
     one = np.tile(np.eye(3), (10, 1))
-    prediction = Prediction(points, 400.0 * one @ one.T + 0.01 * np.eye(30))
+    prediction = PredictedPlaces(points, 400.0 * one @ one.T + 0.01 * np.eye(30))
     seen = points + 7.0 + 0.1 * rng.standard_normal(points.shape)
     seen[3] += (0.0, 8.0, 0.0)
     seen[[6, 7]] = seen[[7, 6]]
@@ -185,13 +186,36 @@ def test_a_lost_marker_that_is_found_counts_in_full():
     points = np.zeros((6, 3))
     points[:, 0] = 10.0 * np.arange(6)
     one = np.tile(np.eye(3), (6, 1))
-    prediction = Prediction(points, 400.0 * one @ one.T + 4.0 * np.eye(18))
+    prediction = PredictedPlaces(points, 400.0 * one @ one.T + 4.0 * np.eye(18))
     seen = points + 2.0
     lost = seen[0].copy()
     seen[0] += 10.0
     judged = judge(prediction, seen, np.full((6, 3), 4.0), lost[None])
     assert judged.states.tolist() == ["relabelled"] + ["seen"] * 5
     assert judged.weights.min() > 0.9
+
+
+def test_places_are_predicted_alike_by_their_covariance_and_by_their_rates():
+    """A turned head and four controls of twelve points, of which two are not seen."""
+    rng = np.random.default_rng(4)
+    places = rng.normal(0.0, 40.0, (12, 3))
+    jacobian = rng.normal(0.0, 3.0, (36, 4))
+    precision = np.diag([4.0, 9.0, 1.0, 16.0])
+    motion = small_motion(np.array([0.2, -0.4, 0.1, 5.0, 6.0, 7.0]))
+    head = HeadPrior(motion, np.diag(np.repeat([100.0, 0.04], 3)))
+    centre = places.mean(axis=0)
+    spread = jacobian @ np.linalg.inv(precision) @ jacobian.T
+    by_covariance = PredictedPlaces.of(head, centre, places, spread)
+    by_rates = RatedPlaces.of(head, centre, places, jacobian, precision)
+    assert by_covariance.sd.min() > 3.0
+    np.testing.assert_allclose(by_rates.sd, by_covariance.sd)
+    seen = motion(places) + rng.normal(0.0, 2.0, (12, 3))
+    weights = np.where(np.arange(12) < 10, 4.0, 0.0)[:, None] * np.ones(3)
+    first, second = (each.condition(seen, weights) for each in (by_covariance, by_rates))
+    assert np.linalg.norm(first.points - by_covariance.points, axis=1).min() > 0.3
+    np.testing.assert_allclose(second.points, first.points, atol=1e-9)
+    np.testing.assert_allclose(second.sd, first.sd)
+    np.testing.assert_allclose(by_rates.conditional_mean(seen, weights), first.points, atol=1e-9)
 
 
 @pytest.mark.long

@@ -18,11 +18,27 @@ def test_a_mended_skin_is_right_where_it_was_solved_and_better_beside():
     for values, clues in frames[:80]:
         mender.add(values, clues, lacks(values, clues))
     mend = mender.mend()
+    assert mend is not None
     assert len(mend.at) == 60
     left = [np.linalg.norm(lacks(*frame) - mend(*frame)) for frame in frames]
     whole = np.mean([np.linalg.norm(lacks(*frame)) for frame in frames])
     assert np.mean(left[70:80]) < 0.05 * whole
     assert np.mean(left[80:]) < 0.2 * whole
+
+
+def test_what_was_solved_is_known_to_the_session_that_goes_on(tmp_path):
+    rng = np.random.default_rng(5)
+    before = Mender()
+    for _ in range(7):
+        before.add(rng.standard_normal(4), rng.standard_normal(2), rng.standard_normal(3))
+    before.save(tmp_path / "kept.npz")
+    after = Mender()
+    after.load(tmp_path / "kept.npz", 5, 3)  # of another marker set
+    assert after.mend() is None
+    after.load(tmp_path / "kept.npz", 6, 3)
+    frame = np.ones(4), np.ones(2)
+    assert np.abs(before.mend()(*frame)).max() > 0.01
+    np.testing.assert_array_equal(after.mend()(*frame), before.mend()(*frame))
 
 
 def test_nothing_solved_mends_nothing():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
@@ -21,7 +23,7 @@ from solver.model import SubjectModel
 from solver.scans.markers.readers.take import Take
 from solver.similarity import Similarity
 from solver.storage import write_json
-from solver.surface import Floats, Ints, area_normals, unit_rows
+from solver.surface import Floats, Ints, area_normals
 
 Triple = tuple[float, float, float]
 
@@ -273,11 +275,28 @@ class BoundTake:
         return np.asarray(self._session.scale * np.sqrt(variance @ self._session.rotation.T**2))
 
 
+@nb.njit(cache=True, error_model="numpy")
 def places_over(corners: Floats, weights: Floats, heights: Floats) -> Floats:
     """Return places (k, 3) at ``heights`` (k,) over triangles (k, 3, 3), along their normals."""
-    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    on_skin = np.einsum("ki,kix->kx", weights, corners)
-    return np.asarray(on_skin + heights[:, None] * unit_rows(outward))
+    out = np.empty((len(corners), 3))
+    first = np.empty(3)
+    second = np.empty(3)
+    for k in range(len(corners)):
+        for i in range(3):
+            first[i] = corners[k, 1, i] - corners[k, 0, i]
+            second[i] = corners[k, 2, i] - corners[k, 0, i]
+        x = first[1] * second[2] - first[2] * second[1]
+        y = first[2] * second[0] - first[0] * second[2]
+        z = first[0] * second[1] - first[1] * second[0]
+        height = heights[k] / (math.sqrt(x * x + y * y + z * z) + 1e-30)
+        for i in range(3):
+            out[k, i] = 0.0
+            for j in range(3):
+                out[k, i] += weights[k, j] * corners[k, j, i]
+        out[k, 0] += height * x
+        out[k, 1] += height * y
+        out[k, 2] += height * z
+    return out
 
 
 def _entry(marker: Marker) -> dict[str, Any]:

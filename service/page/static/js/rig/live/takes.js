@@ -10,6 +10,7 @@ import { upload } from "../../tus.js";
 import { count, short, when } from "../../words.js";
 
 const KIND = "live_session";
+const MARKER_SET = "markers.json";
 
 /** What solves a take exactly, by the session's source: a kind of job, and the role that its file has. */
 const EXACT = {
@@ -84,8 +85,12 @@ export class LiveTakes {
     const name = nameOf(take, job);
     const captures = [(await this.#capture(name, artifact, role)).id];
     const order = { kind, subject_id: this.#rig.subject_id, rig_id: this.#rig.id, captures };
-    // the marker set that the session read, if it was a capture
-    if (kind !== "animate") return { ...order, marker_set: job.captures?.[0] ?? null };
+    if (kind === "fit_markers") {
+      // the marker set that the session read: a capture, or what a check has left
+      const left = (job.from_jobs ?? []).filter(({ artifact }) => artifact === MARKER_SET);
+      return { ...order, from_jobs: left, marker_set: left.length ? null : job.captures?.[0] ?? null };
+    }
+    if (kind !== "animate") return order;
     return { ...order, options: { scene: { recording: { asset: name } } } };
   }
 
