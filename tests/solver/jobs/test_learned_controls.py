@@ -14,7 +14,8 @@ import pytest
 
 from solver.anatomy.template import ShapeBasis
 from solver.animation.controls import Controls
-from solver.animation.controls.pairs import Walks
+from solver.animation.controls.mixtures import Mixtures, WalkOptions
+from solver.animation.controls.pairs import Pairs, Walks, solve_pairs
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose
 from solver.jobs import animate, blendshapes, learn_controls, run_job
@@ -169,6 +170,26 @@ def test_pairs_that_are_there_are_not_solved_again(
         before = Controls.load(learned / "controls.npz", MODEL, MODEL.weights)
         weights = np.array([0.3, 0.2, 0.9])
         np.testing.assert_allclose(again.changes(weights), before.changes(weights), atol=1e-9)
+
+
+def test_walks_that_jump_are_fitted_as_well_and_the_same_after_a_stop(
+    template: SimpleNamespace,
+) -> None:
+    options = WalkOptions(stops=20, in_steps=4)
+    motions = template.shapes.expressions[:, MODEL.face].astype(float)
+    walks = Walks(Face(MODEL), Mixtures(NAMES, options), motions)
+    kept = list[Pairs]()
+    pairs = solve_pairs(walks, 130, keep=kept.append)
+    jumped = pairs.rows.walks >= options.in_steps
+    assert jumped.sum() >= 40
+    weights = pairs.rows.weights[jumped]
+    assert np.abs(np.diff(weights, axis=0)).sum(axis=1).max() > 1.0  # further than a step
+    off = pairs.rows.off_mm
+    assert off[jumped].mean() < 1.5 * off[~jumped].mean()
+    begun = next(each for each in kept if not (each.rows.walks >= options.in_steps).any())
+    again = solve_pairs(walks, 130, begun)
+    np.testing.assert_array_equal(again.rows.weights, pairs.rows.weights)
+    np.testing.assert_array_equal(again.rows.changes, pairs.rows.changes)
 
 
 @pytest.mark.usefixtures("played")
