@@ -36,11 +36,14 @@ class ShapesAtRest:
 class MixtureTracker:
     """Fits mixtures of shapes, ``motions`` (e, k, 3) of the face's points in mm, one after another.
 
-    There is no contact in them: a simulation adds it.
+    There is no contact in them: a simulation adds it. One that ends further off than
+    ``refit_above_mm``, as where muscles are at their limits, is fitted again, by sensitivities of
+    where it has come to: those of other mixtures say too little there of what is left to gain.
     """
 
-    def __init__(self, face: Face, motions: Floats) -> None:
+    def __init__(self, face: Face, motions: Floats, refit_above_mm: float = np.inf) -> None:
         self.face = face
+        self._refit_above_mm = refit_above_mm
         self._motions = motions
         self._neutral = face.model.skin.vertices[face.model.face]
         self._everywhere = np.ones(len(face.model.face))
@@ -55,6 +58,13 @@ class MixtureTracker:
             with suppress(SolveError):
                 self.tracker.go_to(self.face.pose_of(begin.a, begin.b))
         points = self._neutral + np.tensordot(weights, self._motions, 1)
+        found = self._step(points)
+        if found is not None and found.off_mm > self._refit_above_mm:
+            self.tracker.solver.expire()
+            found = self._step(points) or found
+        return found
+
+    def _step(self, points: Floats) -> MixtureFit | None:
         fit = self.tracker.step(SeenPoints(points, self._everywhere))
         if fit.status != "fitted" or fit.target is None:
             return None

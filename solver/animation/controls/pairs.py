@@ -219,7 +219,8 @@ class Walks:
 
         Raises :class:`SolveError` (``controls.few``) if none can be.
         """
-        tracker = MixtureTracker(self.face, self.motions)
+        given = self.mixtures.options
+        tracker = MixtureTracker(self.face, self.motions, given.refit_above_mm)
         rows = list[tuple[Floats, Floats, Floats, float]]()
         failed = 0
         guide = self.guide if self.jumps(number) else None
