@@ -225,7 +225,8 @@ class Walks:
         failed = 0
         guide = self.guide if self.jumps(number) else None
         for weights in self.stops(number):
-            found = tracker.fit(weights, guide and pose_of(guide.changes(weights)))
+            begin = None if guide is None else pose_of(guide.changes(weights))
+            found = tracker.fit(weights, begin)
             tell()
             if found is None:
                 failed += 1

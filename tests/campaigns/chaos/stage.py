@@ -84,8 +84,8 @@ class Stage:
                 how = {"rig_id": rig, "captures": [take], "options": options}
                 self.waiting.append((kind, subject, how))
             elif kind == "learn_controls":
-                options = {"seed": int(1000 * seconds)}
-                self.waiting.append((kind, subject, {"rig_id": rig, "options": options}))
+                lasting = {"seed": int(1000 * seconds)}
+                self.waiting.append((kind, subject, {"rig_id": rig, "options": lasting}))
             else:
                 name = f"expression{number}"
                 capture = self.studio.capture(subject, name, seconds=seconds, child=30)
