@@ -33,9 +33,10 @@ from solver.animation.blendshapes import driven_motions
 from solver.animation.controls import Controls
 from solver.animation.controls.doubt import discrimination
 from solver.animation.controls.learn import LearnOptions, blend_of, learn
-from solver.animation.controls.maps import Network, NetworkOptions, ShapeSizes
+from solver.animation.controls.maps import PUBLISHED, Network, NetworkOptions, ShapeSizes
 from solver.animation.controls.metric import changes_of
-from solver.animation.controls.pairs import LEVELS, Mixtures, Pairs, Walks, solve_pairs
+from solver.animation.controls.mixtures import LEVELS, Mixtures
+from solver.animation.controls.pairs import Pairs, Walks, solve_pairs
 from solver.errors import SolveError
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.mechanics.flesh import IDENTITY
@@ -48,9 +49,6 @@ SEED = 7919  # of the mixtures that nothing was learned from
 QUICK = 2  # mixtures of a part
 # action units of the six emotions, as EMFACS has them, of those that have an intensity
 EMOTIONS = ((6, 12), (1, 4, 15), (1, 2, 5, 26), (1, 2, 4, 5, 7, 20, 26), (4, 5, 7, 23), (9, 15, 17))
-PUBLISHED = NetworkOptions(
-    layers=(100, 100, 100, 100), epochs=100, batch=32, rate=0.01, decay=0.0, on_linear=False
-)
 log = logging.getLogger(__name__)
 
 

@@ -16,7 +16,8 @@ from solver.animation.blendshapes import driven_motions
 from solver.animation.controls import Controls
 from solver.animation.controls.learn import LEAST_PAIRS, LearnOptions, learn
 from solver.animation.controls.maps import ShapeSizes
-from solver.animation.controls.pairs import Mixtures, Walks, solve_pairs
+from solver.animation.controls.mixtures import Mixtures
+from solver.animation.controls.pairs import Walks, solve_pairs
 from solver.fitting.activation import UNSEEN_STOP, fit, unseen_regulariser
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.objective import SkinDistance, Target

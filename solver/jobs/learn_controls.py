@@ -12,8 +12,9 @@ from solver.animation.blendshapes import driven_motions
 from solver.animation.controls import FILE
 from solver.animation.controls.learn import Learned, LearnOptions, blend_of, learn
 from solver.animation.controls.maps import ShapeSizes
+from solver.animation.controls.mixtures import Mixtures
 from solver.animation.controls.pairs import FILE as PAIRS_FILE
-from solver.animation.controls.pairs import Mixtures, Pairs, Walks, solve_pairs
+from solver.animation.controls.pairs import Pairs, Walks, solve_pairs
 from solver.drawing.head import DrawnHead, face_camera
 from solver.drawing.sheet import Column, SheetLayout, draw_sheet
 from solver.errors import SolveError
@@ -60,7 +61,7 @@ def run(task: Task[LearnControls]) -> list[Path]:
         walks, given.pairs, known, lambda pairs: pairs.save(kept, face), tell, given.max_seconds
     )
     solved = time.perf_counter() - begin
-    options = LearnOptions(modes=given.modes)
+    options = LearnOptions(map=given.map, modes=given.modes)
     span = LEARNED - SOLVED
     learned = learn(
         face,
@@ -76,7 +77,7 @@ def run(task: Task[LearnControls]) -> list[Path]:
     progress(Step("pictures", LEARNED))
     draw_worst(face, learned, pairs, files[3])
     seconds = {"pairs_seconds": round(solved, 1), "known": 0 if known is None else len(known)}
-    write_json(files[2], {**controls.figures, **seconds, "seed": given.seed})
+    write_json(files[2], {**controls.figures, **seconds, "map": given.map, "seed": given.seed})
     progress(Step("done", 1.0))
     return files
 

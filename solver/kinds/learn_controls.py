@@ -5,6 +5,8 @@ recordings play by what the face would do instead of by a blend of single shapes
 of the rig use it.
 """
 
+from typing import Literal
+
 from pydantic import Field
 
 from solver.kinds.document import Whole
@@ -31,6 +33,11 @@ class LearnControls(JobOptions):
         ge=10,
         le=86_400,
         description="after about so long they are learned from the mixtures that are fitted",
+    )
+    map: Literal["quadratic+network", "quadratic", "network", "published"] = Field(
+        default="quadratic+network",
+        description="what is played: what lies between a polynomial and a network, or one of them; "
+        "or, to compare with, a network of the layers and the training of the published one",
     )
     modes: Whole = Field(
         default=128, ge=16, le=512, description="directions of muscles and jaw that are learned"

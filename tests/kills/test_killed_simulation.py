@@ -17,7 +17,8 @@ import pytest
 from myoface.stack import Stack
 from service.settings import Settings
 from solver.anatomy.template import ShapeBasis
-from solver.animation.controls.pairs import FIRST_WALKS, LEVELS, WalkOptions
+from solver.animation.controls.mixtures import LEVELS, WalkOptions
+from solver.animation.controls.pairs import FIRST_WALKS
 from solver.jobs import run_job
 from solver.jobs.blendshapes import SAVED_EVERY
 from solver.model import SubjectModel

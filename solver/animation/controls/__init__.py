@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from solver.animation.blendshapes import ShapedPose, keep_within
 from solver.animation.controls.doubt import Doubt
 from solver.animation.controls.maps import Network, PolynomialMap
+from solver.animation.controls.metric import pose_of
 from solver.animation.controls.skin import SkinModes
 from solver.errors import InputError
 from solver.fitting.drives import MuscleDrive
@@ -27,7 +28,6 @@ from solver.fitting.drives.stored import restore, store
 from solver.fitting.face import Pose
 from solver.fitting.interior_point import FeasibleSet
 from solver.kinds import FILES
-from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel, identity
 from solver.storage import Archive, with_prefix
 from solver.surface import Floats
@@ -66,8 +66,7 @@ class Controls:
 
     def pose(self, weights: Floats) -> Pose:
         """Return activations and the free jaw of ``weights`` (e,), cut to 0 to 1."""
-        changes = self.changes(weights)
-        return Pose(IDENTITY + changes[:-5].reshape(-1, 6), changes[-5:])
+        return pose_of(self.changes(weights))
 
     def changes(self, weights: Floats) -> Floats:
         """Return the changes (..., 6 m + 5) off the rest of ``weights`` (..., e)."""

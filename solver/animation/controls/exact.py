@@ -13,7 +13,7 @@ from solver.animation import FrameChanges
 from solver.animation.blendshapes import DrivenShapes, ShapedPose
 from solver.errors import SolveError
 from solver.fitting.activation import unseen_regulariser
-from solver.fitting.face import Face
+from solver.fitting.face import Face, Pose
 from solver.fitting.interior_point import FeasibleSet
 from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.dense import DensePoints, SeenPoints
@@ -36,19 +36,35 @@ class ShapesAtRest:
 class MixtureTracker:
     """Fits mixtures of shapes, ``motions`` (e, k, 3) of the face's points in mm, one after another.
 
-    There is no contact in them: a simulation adds it.
+    There is no contact in them: a simulation adds it. One that ends further off than
+    ``refit_above_mm``, as where muscles are at their limits, is fitted again, by sensitivities of
+    where it has come to: those of other mixtures say too little there of what is left to gain.
     """
 
-    def __init__(self, face: Face, motions: Floats) -> None:
+    def __init__(self, face: Face, motions: Floats, refit_above_mm: float = np.inf) -> None:
         self.face = face
+        self._refit_above_mm = refit_above_mm
         self._motions = motions
         self._neutral = face.model.skin.vertices[face.model.face]
         self._everywhere = np.ones(len(face.model.face))
         self.tracker = Tracker(DensePoints(face, unseen_regulariser(face)))
 
-    def fit(self, weights: Floats) -> MixtureFit | None:
-        """Return the fit of a mixture (e,), from the last one; None if it cannot be fitted."""
+    def fit(self, weights: Floats, begin: Pose | None = None) -> MixtureFit | None:
+        """Return the fit of a mixture (e,); None if it cannot be fitted.
+
+        It begins at a pose, activations and a free jaw, if there is one, else at the last fit.
+        """
+        if begin is not None:
+            with suppress(SolveError):
+                self.tracker.go_to(self.face.pose_of(begin.a, begin.b))
         points = self._neutral + np.tensordot(weights, self._motions, 1)
+        found = self._step(points)
+        if found is not None and found.off_mm > self._refit_above_mm:
+            self.tracker.solver.expire()
+            found = self._step(points) or found
+        return found
+
+    def _step(self, points: Floats) -> MixtureFit | None:
         fit = self.tracker.step(SeenPoints(points, self._everywhere))
         if fit.status != "fitted" or fit.target is None:
             return None
@@ -96,10 +112,8 @@ def fit_frames(
     fitted = np.zeros(len(weights), bool)
     for count, frame in enumerate(np.flatnonzero(chosen).tolist()):
         begin = shapes.pose_of(weights[frame])
-        if not (frame and fitted[frame - 1]):
-            with suppress(SolveError):
-                tracker.tracker.go_to(face.pose_of(begin.a, begin.jaw))
-        found = tracker.fit(weights[frame])
+        follows = frame and fitted[frame - 1]
+        found = tracker.fit(weights[frame], None if follows else Pose(begin.a, begin.jaw))
         if found is not None:
             fitted[frame] = True
             activations[frame] = found.activations - begin.a

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from solver.animation.blendshapes import Blend
 from solver.animation.controls import Controls
 from solver.animation.controls.doubt import Doubt, discrimination
 from solver.animation.controls.maps import (
+    PUBLISHED,
     Listen,
     Network,
     NetworkOptions,
@@ -32,14 +33,24 @@ LEAST_PAIRS = 500  # to learn anything from
 
 @dataclass(frozen=True)
 class LearnOptions:
-    """Options of learning: which maps, and from which part of the pairs."""
+    """Options of learning: which maps, and from which part of the pairs.
 
+    ``map`` names what is played; the polynomial and a network are both learned for any, as the
+    doubt is that of both.
+    """
+
+    map: Literal["quadratic+network", "quadratic", "network", "published"] = "quadratic+network"
     modes: int = 128  # of muscles and jaw
     held_out: int = 6  # one walk of so many is not learned from at first, and judges the maps
     doubtful_mm: float = 0.2  # error that doubt should find
     exact_above_mm: float = 0.3  # doubt above which a frame is fitted exactly, as animate does it
     polynomial: PolynomialOptions = field(default_factory=PolynomialOptions)
     network: NetworkOptions = field(default_factory=NetworkOptions)
+
+    @property
+    def chosen_network(self) -> NetworkOptions:
+        """The network's options: the published one's where that is to be played."""
+        return PUBLISHED if self.map == "published" else self.network
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +90,7 @@ def learn(
         c = rows.weights[chosen]
         y = goals[chosen]
         polynomial = PolynomialMap.learn(c, y, sizes, options.polynomial)
-        return polynomial, Network.learn(c, y, sizes, seed, options.network, listen)
+        return polynomial, Network.learn(c, y, sizes, seed, options.chosen_network, listen)
 
     maps = learn_maps(~judging, lambda done: listen(0.5 * done))
     unseen = rows[judging]
@@ -131,7 +142,10 @@ def _judge(
     """Judge maps by ``goals`` (n, r), whose first ``directions`` are those of the controls."""
     ours = slice(directions)
     first, second = (each(unseen.weights).astype(float) for each in maps)
-    share = _best_share(first[:, ours], second[:, ours], goals[:, ours])
+    if options.map == "quadratic+network":
+        share = _best_share(first[:, ours], second[:, ours], goals[:, ours])
+    else:
+        share = float(options.map == "quadratic")
     between = second + share * (first - second)
     off = np.asarray(np.linalg.norm((between - goals)[:, ours], axis=1), float)
     told = np.asarray(np.linalg.norm((first - second)[:, ours], axis=1), float), between[:, -1]

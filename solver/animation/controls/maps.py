@@ -70,19 +70,9 @@ class PolynomialMap:
         options: PolynomialOptions = PolynomialOptions(),
     ) -> Self:
         """Learn from weights (n, e) of shapes and their coordinates (n, r)."""
-        products = np.argwhere(np.triu(sizes.together >= options.least_mm))
-        features = _features(weights, products)
-        common = sizes.together[tuple(products.T)]
-        ridge = np.concatenate(
-            [
-                options.ridge / sizes.alone**2,
-                options.ridge_cubes / sizes.alone**2,
-                options.ridge_products / common**2,
-            ]
-        )
-        gram = features.T @ features + np.diag(ridge)
-        rows = scipy.linalg.solve(gram, features.T @ goals, assume_a="pos")
-        return cls(products, rows.astype(np.float32))
+        known = Leverage.of(weights, sizes, options)
+        rows = known.solve(_features(weights, known.products).T @ goals)
+        return cls(known.products, rows.astype(np.float32))
 
     def __call__(self, weights: NDArray[np.floating]) -> Singles:
         """Return the coordinates (..., r) of weights (..., e)."""
@@ -96,6 +86,44 @@ class PolynomialMap:
     def of(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
         """Return what :meth:`arrays` gave."""
         return cls(arrays["products"], arrays["rows"])
+
+
+@dataclass(frozen=True, eq=False)
+class Leverage:
+    """How little pairs tell a polynomial of other weights: their leverage.
+
+    ``root`` is L of the ridge regression's normal matrix, L L^T = F^T F + R, for features F.
+    """
+
+    products: Ints
+    root: Floats
+
+    @classmethod
+    def of(
+        cls, weights: Floats, sizes: ShapeSizes, options: PolynomialOptions = PolynomialOptions()
+    ) -> Self:
+        """Return that of pairs with ``weights`` (n, e)."""
+        products = np.argwhere(np.triu(sizes.together >= options.least_mm))
+        features = _features(weights, products)
+        common = sizes.together[tuple(products.T)]
+        ridge = np.concatenate(
+            [
+                options.ridge / sizes.alone**2,
+                options.ridge_cubes / sizes.alone**2,
+                options.ridge_products / common**2,
+            ]
+        )
+        return cls(products, np.linalg.cholesky(features.T @ features + np.diag(ridge)))
+
+    def solve(self, right: Floats) -> Floats:
+        """Return (F^T F + R)^-1 times ``right`` (2 e + p, r)."""
+        return np.asarray(scipy.linalg.cho_solve((self.root, True), right))
+
+    def __call__(self, weights: Floats) -> Floats:
+        """Return f . (F^T F + R)^-1 f (n,) of the features f of ``weights`` (n, e)."""
+        features = _features(weights, self.products)
+        along = scipy.linalg.solve_triangular(self.root, features.T, lower=True)
+        return np.asarray(np.sum(along**2, axis=0))
 
 
 def _features(weights: NDArray[np.floating], products: Ints) -> NDArray[np.floating]:
@@ -116,6 +144,12 @@ class NetworkOptions:
     second_momentum: float = 0.999
     decay: float = 1e-5  # of the weights
     on_linear: bool = True  # whether the network learns what a linear map leaves
+
+
+# layers and training of the published network
+PUBLISHED = NetworkOptions(
+    layers=(100, 100, 100, 100), epochs=100, batch=32, rate=0.01, decay=0.0, on_linear=False
+)
 
 
 @dataclass(frozen=True, eq=False)

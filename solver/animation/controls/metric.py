@@ -9,7 +9,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from solver.fitting.activation import rest_curvature
-from solver.fitting.face import Face
+from solver.fitting.face import Face, Pose
 from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats
 
@@ -22,6 +22,12 @@ def changes_of(activations: Floats, jaw: Floats) -> Floats:
     """Return the changes (..., 6 m + 5) off the rest of activations (..., m, 6) and a free jaw."""
     changes = (activations - IDENTITY).reshape(*jaw.shape[:-1], -1)
     return np.concatenate([changes, jaw], axis=-1)
+
+
+def pose_of(changes: NDArray[np.floating]) -> Pose:
+    """Return activations and a free jaw of changes (6 m + 5,) off the rest."""
+    moved = np.asarray(changes, float)
+    return Pose(IDENTITY + moved[:-5].reshape(-1, 6), moved[-5:])
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,10 @@
 """Pairs that controls are learned from: a mixture of a template's shapes, and its exact solve.
 
-Walks go from rest to one mixture after another in short steps, and each stop is fitted from the one
-before as a frame of a performance is. There is no contact in them: a simulation adds it.
+The first walks go from rest to one mixture after another in short steps, and each stop is fitted
+from the one before as a frame of a performance is. Later ones jump: a polynomial that is learned
+from the first tells where each mixture's fit begins, so that every stop is a mixture of its own,
+and of which mixtures it knows least: these are fitted most. There is no contact in them: a
+simulation adds it.
 """
 
 from __future__ import annotations
@@ -17,122 +20,21 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.anatomy.template import CORRECTED
 from solver.animation.controls.exact import MixtureTracker
-from solver.animation.controls.metric import changes_of
+from solver.animation.controls.maps import Leverage, PolynomialMap, ShapeSizes
+from solver.animation.controls.metric import changes_of, pose_of
+from solver.animation.controls.mixtures import Mixtures
 from solver.animation.controls.skin import SkinModes
 from solver.errors import InputError, SolveError
 from solver.fitting.expression_basis import face_identity
 from solver.fitting.face import Face
 from solver.kinds import FILES
 from solver.mechanics.linear import in_threads
-from solver.scans.openface import shapes_of_units
-from solver.scans.performance import ARKIT_NAMES
 from solver.storage import Archive
 from solver.surface import Floats, Ints
-from solver.templates.ict_facekit import arkit_source
 
 FILE = "control_pairs.npz"
 FORMAT = FILES[FILE].format
-LEVELS = (0.25, 0.5, 0.75, 1.0)  # of each shape alone
-
-
-@dataclass(frozen=True)
-class WalkOptions:
-    """Mixtures that walks go to, and the stops on their way."""
-
-    step: float = 1.0  # greatest sum of the weights' changes from stop to stop
-    stops: int = 120  # of a walk
-    # parts of the mixtures that are of action units, alike on both sides, and of many shapes
-    units: float = 0.3
-    dense: float = 0.25
-    most_units: int = 6
-    most_shapes: int = 6  # of a mixture that is not dense
-    most_dense: int = 16
-    opens_jaw: float = 0.4  # part of the mixtures of shapes in which the jaw opens as well
-    alike: float = 0.5  # part of them in which both sides of a shape move alike
-    rest: float = 0.03  # part of the mixtures that are rest
-
-
-@dataclass(frozen=True, eq=False)
-class Mixtures:
-    """Weights (e,) that shapes ``names`` can have together, drawn at random."""
-
-    names: tuple[str, ...]
-    options: WalkOptions = WalkOptions()
-
-    def draw(self, random: np.random.Generator) -> Floats:
-        """Return weights (e,) from 0 to 1."""
-        given = self.options
-        weights = np.zeros(len(self.names))
-        kind = random.random()
-        if kind < given.rest:
-            return weights
-        if kind < given.rest + given.units:
-            return self.of_units(self.draw_units(random))
-        dense = kind > 1.0 - given.dense
-        most = min(given.most_dense if dense else given.most_shapes, len(self.names))
-        least = min(given.most_shapes, most) if dense else 1
-        count = int(random.integers(least, most + 1))
-        chosen = random.choice(len(self.names), count, replace=False)
-        # many shapes at once are rarely strong
-        weights[chosen] = random.beta(1.0, 2.0 if dense else 1.0, count)
-        if random.random() < given.alike:
-            for name, other in self._sides:
-                weights[other] = weights[name]
-        if "jawOpen" in self.names and random.random() < given.opens_jaw:
-            weights[self.names.index("jawOpen")] = random.random()
-        return self.possible(weights)
-
-    def draw_units(self, random: np.random.Generator, least: int = 1) -> Floats:
-        """Return intensities (17,) from 0 to 1 of so many action units or more."""
-        moving = np.flatnonzero(self._units.any(axis=1))
-        count = int(random.integers(least, self.options.most_units + 1))
-        chosen = random.choice(moving, min(count, len(moving)), replace=False)
-        intensities = np.zeros(len(self._units))
-        intensities[chosen] = random.random(len(chosen))
-        return intensities
-
-    def of_units(self, intensities: Floats) -> Floats:
-        """Return the weights (e,) of action units (17,), both sides alike."""
-        return self.possible(intensities @ self._units)
-
-    def possible(self, weights: Floats) -> Floats:
-        """Return weights from 0 to 1, a corrective's no greater than that of what it corrects."""
-        weights = np.clip(weights, 0.0, 1.0)
-        for name, corrected in CORRECTED.items():
-            if name in self.names:
-                with_it = weights[self.names.index(corrected)] if corrected in self.names else 0.0
-                weights[self.names.index(name)] = min(weights[self.names.index(name)], with_it)
-        return weights
-
-    def alone(self) -> list[Floats]:
-        """Return each shape by itself at several levels, a corrective on what it corrects."""
-        found = []
-        for number, name in enumerate(self.names):
-            weights = np.zeros(len(self.names))
-            weights[number] = 1.0
-            if CORRECTED.get(name) in self.names:
-                weights[self.names.index(CORRECTED[name])] = 1.0
-            found += [self.possible(level * weights) for level in LEVELS]
-        return found
-
-    @property
-    def _units(self) -> Floats:
-        """Weights (17, e) of each action unit at full intensity; some move nothing."""
-        columns = [ARKIT_NAMES.index(arkit_source(name)) for name in self.names]
-        return shapes_of_units()[:, columns]
-
-    @property
-    def _sides(self) -> list[tuple[int, int]]:
-        """Places of the left and the right one of each shape that has both."""
-        pairs = {name: name.removesuffix("Left") + "Right" for name in self.names}
-        return [
-            (self.names.index(name), self.names.index(other))
-            for name, other in pairs.items()
-            if name.endswith("Left") and other in self.names
-        ]
-
 
 ROWS = ("weights", "changes", "skins", "off_mm", "walks")
 
@@ -248,12 +150,26 @@ class Walked:
 
 
 @dataclass(frozen=True, eq=False)
+class Guide:
+    """What pairs tell of other mixtures: the ``changes`` off the rest, and how little that is."""
+
+    changes: PolynomialMap
+    leverage: Leverage
+
+    @classmethod
+    def of(cls, rows: PairRows, sizes: ShapeSizes) -> Guide:
+        """Learn from pairs."""
+        changes = PolynomialMap.learn(rows.weights, rows.changes, sizes)
+        return cls(changes, Leverage.of(rows.weights, sizes))
+
+
+@dataclass(frozen=True, eq=False)
 class Walks:
     """Walks on a ``face`` through mixtures of shapes, ``motions`` (e, k, 3) of its points in mm.
 
     Walk 0 goes through every shape alone, walk n through what the n-th generator of ``seed``
     draws, so that each is the same whatever ran before it. Skins are reduced to ``modes``, if
-    these are known.
+    these are known. ``guide`` is for walks that jump.
     """
 
     face: Face
@@ -261,6 +177,16 @@ class Walks:
     motions: Floats
     seed: int = 0
     modes: SkinModes | None = None
+    guide: Guide | None = None
+
+    def jumps(self, number: int) -> bool:
+        """Tell whether a walk jumps from mixture to mixture."""
+        return number >= self.mixtures.options.in_steps
+
+    def guided(self, rows: PairRows) -> Walks:
+        """Return the walks with what those in steps tell of mixtures."""
+        first = rows[rows.walks < self.mixtures.options.in_steps]
+        return replace(self, guide=Guide.of(first, ShapeSizes.of(self.motions)))
 
     def stops(self, number: int) -> list[Floats]:
         """Return the mixtures (e,) that a walk stops at."""
@@ -268,6 +194,8 @@ class Walks:
         if number == 0:
             return self.mixtures.alone()
         random = np.random.default_rng((self.seed, number))
+        if self.jumps(number) and self.guide is not None:
+            return nearest_next(self._choose(random, self.guide))
         at = np.zeros(len(self.mixtures.names))
         found = list[Floats]()
         while len(found) < given.stops:
@@ -277,16 +205,28 @@ class Walks:
             at = goal
         return found[: given.stops]
 
+    def _choose(self, random: np.random.Generator, guide: Guide) -> list[Floats]:
+        found = []
+        for _ in range(self.mixtures.options.stops):
+            kind = self.mixtures.draw_kind(random)
+            drawn = [self.mixtures.draw(random, kind) for _ in range(self.mixtures.options.choices)]
+            unknown = guide.leverage(np.array(drawn)) + 1e-12
+            found.append(drawn[int(random.choice(len(drawn), p=unknown / unknown.sum()))])
+        return found
+
     def walk(self, number: int, tell: Callable[[], None] = lambda: None) -> Walked:
         """Fit a walk's stops; ``tell`` is called at each. Those that cannot be are left out.
 
         Raises :class:`SolveError` (``controls.few``) if none can be.
         """
-        tracker = MixtureTracker(self.face, self.motions)
+        given = self.mixtures.options
+        tracker = MixtureTracker(self.face, self.motions, given.refit_above_mm)
         rows = list[tuple[Floats, Floats, Floats, float]]()
         failed = 0
+        guide = self.guide if self.jumps(number) else None
         for weights in self.stops(number):
-            found = tracker.fit(weights)
+            begin = None if guide is None else pose_of(guide.changes(weights))
+            found = tracker.fit(weights, begin)
             tell()
             if found is None:
                 failed += 1
@@ -301,6 +241,19 @@ class Walks:
         weights, changes, off = (_as_kept(columns[place]) for place in (0, 1, 3))
         walks = np.full(len(rows), number)
         return Walked(PairRows(weights, changes, np.array(columns[2]), off, walks), failed)
+
+
+def nearest_next(mixtures: Sequence[Floats]) -> list[Floats]:
+    """Return mixtures (e,) in an order in which each is the nearest to the one before, from rest.
+
+    Fits take sensitivities over from one to the next.
+    """
+    left = list(mixtures)
+    found = [np.zeros_like(left[0])]
+    while left:
+        distances = np.linalg.norm(np.array(left) - found[-1], axis=1)
+        found.append(left.pop(int(np.argmin(distances))))
+    return found[1:]
 
 
 MODES = 96  # of the skin: the main ones of the first walks
@@ -343,6 +296,11 @@ def solve_pairs(
     walks = replace(walks, modes=known.modes)
     while len(known) < count and time.perf_counter() < until:
         begin = int(known.rows.walks.max()) + 1
-        known = known.plus(walk(walks, range(begin, begin + nb.get_num_threads())))
+        end = begin + nb.get_num_threads()
+        if not walks.jumps(begin):
+            end = min(end, walks.mixtures.options.in_steps)
+        elif walks.guide is None:
+            walks = walks.guided(known.rows)
+        known = known.plus(walk(walks, range(begin, end)))
         keep(known)
     return known

@@ -85,6 +85,7 @@ class FrameSolver:
         self._descent = DescentOptions(steps=options.steps)
         self._lagged: _LaggedModel | None = None
         self._age = 0
+        self._expired = False
         self._value = np.inf
         self._search = Backtracking(options.damping, least_ratio=options.least_ratio)
 
@@ -115,6 +116,9 @@ class FrameSolver:
         ):
             lagged = _LaggedModel.of(lagged.jacobian, data, weights, self.state.x)
             self._lagged = lagged
+        if lagged and self._expired:
+            lagged = self.relinearise(data, weights)
+        self._expired = False
         if lagged and not whole:
             found = self._fit_lagged(lagged, data, contact, prior)
             if found is None and self._age:
@@ -141,6 +145,10 @@ class FrameSolver:
             if self._age >= (options.stale_frames if all_taken else options.lagged_frames):
                 self.relinearise(data, weights)
         return found.steps
+
+    def expire(self) -> None:
+        """Let the next frame be fitted by sensitivities of the state as it is now."""
+        self._expired = True
 
     @property
     def jacobian(self) -> Jacobian | None:

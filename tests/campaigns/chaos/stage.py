@@ -37,7 +37,7 @@ SETTINGS: dict[str, Any] = {
     "solver_confined": False,  # a poison kills its worker
 }
 OTHER_HOST = ("long", "short")
-KINDS = ("fit_geometry", "check_scan", "fit_geometry", "build_model", "animate")
+KINDS = ("fit_geometry", "check_scan", "learn_controls", "fit_geometry", "build_model", "animate")
 READS = (WHO_AM_I, ("GET", "/v1/jobs?limit=50", None), ("GET", "/v1/subjects", None))
 
 
@@ -83,6 +83,9 @@ class Stage:
                 options = {"scene": scene}
                 how = {"rig_id": rig, "captures": [take], "options": options}
                 self.waiting.append((kind, subject, how))
+            elif kind == "learn_controls":
+                lasting = {"seed": int(1000 * seconds)}
+                self.waiting.append((kind, subject, {"rig_id": rig, "options": lasting}))
             else:
                 name = f"expression{number}"
                 capture = self.studio.capture(subject, name, seconds=seconds, child=30)

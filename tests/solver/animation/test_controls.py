@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from solver.animation.controls.doubt import Doubt, discrimination
 from solver.animation.controls.maps import (
+    Leverage,
     Network,
     NetworkOptions,
     PolynomialMap,
@@ -18,7 +19,7 @@ from solver.animation.controls.maps import (
     _gradients,
 )
 from solver.animation.controls.metric import Metric
-from solver.animation.controls.pairs import LEVELS, Mixtures, WalkOptions
+from solver.animation.controls.mixtures import LEVELS, Mixtures, WalkOptions
 from solver.animation.controls.skin import SkinModes
 from solver.fitting.activation import rest_curvature
 from solver.fitting.face import Face
@@ -50,6 +51,20 @@ def test_a_polynomial_is_found_again() -> None:
     assert not found(np.zeros(3)).any()
     again = PolynomialMap.of(found.arrays())
     np.testing.assert_array_equal(again(fresh), found(fresh))
+
+
+def test_leverage_is_what_a_pair_says_of_itself() -> None:
+    """The derivative of a pair's learned coordinate by the one that it was learned from."""
+    options = PolynomialOptions(ridge=1e-2, ridge_products=3.0, ridge_cubes=3.0)
+    goals = np.zeros((len(WEIGHTS), 1))
+    goals[7] = 1.0
+    found = PolynomialMap.learn(WEIGHTS, goals, SIZES, options)(WEIGHTS[7])[0]
+    leverage = Leverage.of(WEIGHTS, SIZES, options)
+    told = leverage(np.array([WEIGHTS[7], np.zeros(3), 3.0 * WEIGHTS[7]]))
+    assert found > 1e-3
+    assert told[0] == pytest.approx(found, rel=1e-4)
+    assert told[1] == 0.0
+    assert told[2] > told[0]
 
 
 def test_shapes_that_move_other_parts_have_no_product() -> None:

@@ -14,7 +14,11 @@ import pytest
 
 from solver.anatomy.template import ShapeBasis
 from solver.animation.controls import Controls
-from solver.animation.controls.pairs import Walks
+from solver.animation.controls.learn import LearnOptions
+from solver.animation.controls.learn import learn as controls_of
+from solver.animation.controls.maps import ShapeSizes
+from solver.animation.controls.mixtures import Mixtures, WalkOptions
+from solver.animation.controls.pairs import Pairs, Walks, solve_pairs
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose
 from solver.jobs import animate, blendshapes, learn_controls, run_job
@@ -90,6 +94,22 @@ def test_controls_are_learned_and_tell_how_well(learned: Path) -> None:
     skin = controls.skin(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
     np.testing.assert_allclose(skin[0], MODEL.skin.vertices, atol=1e-3)
     assert np.abs(skin[1] - skin[0]).max() > 1.0
+
+
+@pytest.mark.parametrize(("name", "share"), [("quadratic", 1.0), ("published", 0.0)])
+def test_one_of_the_maps_is_played_alone_if_asked_for(
+    learned: Path, name: Any, share: float
+) -> None:
+    face = Face(MODEL)
+    pairs = Pairs.load(learned / "control_pairs.npz", face, NAMES)
+    sizes = ShapeSizes(np.ones(3), np.ones((3, 3)))
+    found = controls_of(face, pairs, sizes, options=LearnOptions(map=name, modes=16)).controls
+    weights = np.array([0.7, 0.4, 0.5])
+    alone = found.polynomial if share else found.network
+    expected = alone(weights)[: len(found.directions)] @ found.directions
+    np.testing.assert_allclose(found.changes(weights), expected, atol=1e-5)
+    assert len(found.network.layers) == (2 if share else 5)
+    assert 0.0 < found.doubt_mm(weights) < 10.0
 
 
 def test_what_is_learned_is_what_a_fit_finds(learned: Path, template: SimpleNamespace) -> None:
@@ -169,6 +189,26 @@ def test_pairs_that_are_there_are_not_solved_again(
         before = Controls.load(learned / "controls.npz", MODEL, MODEL.weights)
         weights = np.array([0.3, 0.2, 0.9])
         np.testing.assert_allclose(again.changes(weights), before.changes(weights), atol=1e-9)
+
+
+def test_walks_that_jump_are_fitted_as_well_and_the_same_after_a_stop(
+    template: SimpleNamespace,
+) -> None:
+    options = WalkOptions(stops=20, in_steps=4)
+    motions = template.shapes.expressions[:, MODEL.face].astype(float)
+    walks = Walks(Face(MODEL), Mixtures(NAMES, options), motions)
+    kept = list[Pairs]()
+    pairs = solve_pairs(walks, 130, keep=kept.append)
+    jumped = pairs.rows.walks >= options.in_steps
+    assert jumped.sum() >= 40
+    weights = pairs.rows.weights[jumped]
+    assert np.abs(np.diff(weights, axis=0)).sum(axis=1).max() > 1.0  # further than a step
+    off = pairs.rows.off_mm
+    assert off[jumped].mean() < 1.5 * off[~jumped].mean()
+    begun = next(each for each in kept if not (each.rows.walks >= options.in_steps).any())
+    again = solve_pairs(walks, 130, begun)
+    np.testing.assert_array_equal(again.rows.weights, pairs.rows.weights)
+    np.testing.assert_array_equal(again.rows.changes, pairs.rows.changes)
 
 
 @pytest.mark.usefixtures("played")
