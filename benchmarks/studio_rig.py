@@ -166,6 +166,8 @@ class _Bench:
             "above_0.25_mm": [
                 name for name, each in zip(self.solved.names, off, strict=True) if each > 0.25
             ],
+            "off_mm": dict(zip(self.solved.names, off.round(4).tolist(), strict=True)),
+            "by_freed_muscles": list(self.solved.freed),
             "not_settled": list(self.solved.unsettled),
         }
 
