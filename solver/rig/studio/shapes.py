@@ -183,7 +183,7 @@ def solve_studio_shapes(
             lambda: finish(flesh.play({name: share, under: share}), "muscles"),
             lambda: finish(flesh.reach(wanted[model.face]), "freed muscles"),
         ]
-        best = _nearest(ways, flesh.options.near_mm) if name in moved else None
+        best = nearest(ways, flesh.options.near_mm) if name in moved else None
         return best or finish(Played(wanted, np.zeros(JAW_FREEDOM)), "template")
 
     found = {}
@@ -217,7 +217,7 @@ class Made:
     by: MadeBy
 
 
-def _nearest(ways: Iterable[Callable[[], Made]], near_mm: float) -> Made | None:
+def nearest(ways: Iterable[Callable[[], Made]], near_mm: float) -> Made | None:
     """Return the nearest of ``ways`` that come to rest, tried in turn until one is near enough."""
     best: Made | None = None
     for way in ways:
