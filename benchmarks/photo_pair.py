@@ -60,14 +60,14 @@ def read_pair(path: Path, template: Template, edge_mm: float, detector: FaceDete
     model = build_subject_model(template, neutral, edge_mm=edge_mm, compartments=True)
     whole = read_photo(path.with_suffix(".jpg"))
     width, height = whole.size
-    points, places = _texture(path)
+    points, places = read_texture(path)
     places = places * (width, height)
     photos = []
     off = []
     for number, name in enumerate(("left", "right")):
         half = slice(number * width // 2, (number + 1) * width // 2)
         inside = (places[:, 0] >= half.start) & (places[:, 0] < half.stop)
-        camera, px = _camera(points[inside], places[inside] - [half.start, 0.0])
+        camera, px = fit_camera(points[inside], places[inside] - [half.start, 0.0])
         mm = scan.start.mm_per_unit
         world = replace(camera, translation=mm * camera.translation)
         placed = world.with_head(scan.motion.inverse())
@@ -136,7 +136,7 @@ def _distances(pair: Pair, skin: Floats) -> Floats:
     return np.asarray(found.distance[~found.at_edge])
 
 
-def _texture(path: Path) -> tuple[Floats, Floats]:
+def read_texture(path: Path) -> tuple[Floats, Floats]:
     """Return points (n, 3) of an OBJ and where its picture has them (n, 2), shares from the top."""
     lines = path.read_bytes().splitlines()
     vertices = np.array([line.split()[1:4] for line in lines if line.startswith(b"v ")], float)
@@ -151,7 +151,7 @@ def _texture(path: Path) -> tuple[Floats, Floats]:
     return vertices[rows], texture[marks] * [1.0, -1.0] + [0.0, 1.0]
 
 
-def _camera(points: Floats, pixels: Floats) -> tuple[PinholeCamera, float]:
+def fit_camera(points: Floats, pixels: Floats) -> tuple[PinholeCamera, float]:
     """Return the camera that sees points (n, 3) at pixels (n, 2), and its median error in px.
 
     The direct linear transform (Hartley and Zisserman 2003), its skew left out.

@@ -2,7 +2,8 @@
 
     python -m benchmarks.studio_rig [--rig FILE] [--blendshapes FILE] [--only eye] [--learned FILE]
         [--recording FILE] [--scan FILE [--template FILE] [--picture FILE]] [--detail-picture FILE]
-        [--parts shapes,blink,levels,files,played,texture,detail] --json -
+        [--pair-picture FILE]
+        [--parts shapes,blink,levels,files,played,texture,detail,stereo] --json -
 
 ``shapes`` are ARKit's, each alone and whole: ``mean_mm`` is the face's mean distance to the
 template's shape, over all, and ``worst_mm`` of the worst. ``blink`` has what is left between the
@@ -17,7 +18,9 @@ flesh over frames of a recording, by blendshapes or by learned controls, for bot
 an expression, and ``--scan`` if one is given: ``normal_error_deg`` is how far mesh and normal map
 are off the raw scan's normals where the mesh alone is off by 7 degrees or more, which has
 ``mesh_error_deg`` there, ``recovered_correlation`` that of the displacement with the known depths,
-and ``wrinkles_correlation`` that of its change with the change of depth.
+and ``wrinkles_correlation`` that of its change with the change of depth. ``stereo`` takes the two
+photographs of a stereo rig, whose ``--scan`` has its texture coordinates in them: the skin wears
+one and is drawn in the other's camera, ``ssim``, as the scan itself is, ``scan_ssim``.
 """
 
 from __future__ import annotations
@@ -35,6 +38,7 @@ from benchmarks import report, subject_fits, subjects
 from benchmarks.baked_detail import measure as measure_detail
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.muscle_actions import has_lids, lid_gap
+from benchmarks.stereo_views import measure_stereo
 from benchmarks.texture_views import measure
 from myoface.demo.outcome import khronos_validation
 from solver.anatomy.template import CORRECTED, ShapeBasis
@@ -63,8 +67,8 @@ from solver.scene.places import Places
 from solver.templates.ict_facekit import arkit_source
 
 log = logging.getLogger(__name__)
-PARTS = ("shapes", "blink", "levels", "files", "played", "texture", "detail")
-OF_A_SCAN = ("texture", "detail")
+PARTS = ("shapes", "blink", "levels", "files", "played", "texture", "detail", "stereo")
+OF_A_SCAN = ("texture", "detail", "stereo")
 START = 2000  # of the recording: jaw, lips and cheeks
 FRAMES = 300
 STEPS = 20
@@ -89,6 +93,7 @@ def main() -> None:
     parser.add_argument("--template", type=Path, help="that it is registered to, else the built-in")
     parser.add_argument("--picture", type=Path, help="PNG of the scan and its textured skin")
     parser.add_argument("--detail-picture", type=Path, help="PNG of the made scans, for ``detail``")
+    parser.add_argument("--pair-picture", type=Path, help="PNG of a pair and its skins: ``stereo``")
     parser.add_argument("--start", type=int, default=START, help="first frame that is played")
     parser.add_argument("--frames", type=int, default=FRAMES, help="that are played")
     report.add_list(parser, "--parts", PARTS)
@@ -114,6 +119,10 @@ def run(options: argparse.Namespace) -> Figures:
         parts["detail"] = {"note": "not measured: it takes minutes"}
         if not options.quick:
             parts["detail"] = measure_detail(options.scan, options.template, options.detail_picture)
+    if "stereo" in options.parts:
+        parts["stereo"] = {"note": "not measured: --pair-picture asks for it, of a pair's --scan"}
+        if options.scan is not None and options.pair_picture is not None:
+            parts["stereo"] = measure_stereo(options.scan, options.template, options.pair_picture)
     return {**told, "parts": parts}
 
 
@@ -166,6 +175,8 @@ class _Bench:
             "above_0.25_mm": [
                 name for name, each in zip(self.solved.names, off, strict=True) if each > 0.25
             ],
+            "off_mm": dict(zip(self.solved.names, off.round(4).tolist(), strict=True)),
+            "by_freed_muscles": list(self.solved.freed),
             "not_settled": list(self.solved.unsettled),
         }
 

@@ -154,11 +154,14 @@ class Blendshapes:
     """The shapes by name, as the template calls them.
 
     ``muscles`` are the names of those that make them, within the limits of ``drive``.
+    ``outdated`` are correctives that a file had and that are left out, as an earlier release solved
+    them at another weight.
     """
 
     muscles: tuple[str, ...]
     shapes: Mapping[str, Solved]
     drive: MuscleDrive = field(default_factory=SixNumbers)
+    outdated: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -194,6 +197,7 @@ class Blendshapes:
             "muscles": self.muscles,
             "drive": store(self.drive),
             "names": blend.names,
+            "corrected_at": CORRECTED_AT,
         }
         Archive(header, arrays).write(path)
 
@@ -220,7 +224,11 @@ class Blendshapes:
         if not _is_of(header, model, S):
             reason = f"{path.name} belongs to another rig"
             raise InputError("blendshapes.model", reason, file=path.name)
-        return cls(muscles, shapes, drive)
+        outdated: tuple[str, ...] = ()
+        if header.get("corrected_at") != CORRECTED_AT:
+            outdated = tuple(name for name in shapes if name in CORRECTED)
+        kept = {name: shape for name, shape in shapes.items() if name not in outdated}
+        return cls(muscles, kept, drive, outdated)
 
 
 def _is_of(header: Mapping[str, Any], model: SubjectModel, S: sp.csr_array) -> bool:

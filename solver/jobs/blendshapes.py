@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ SAVED_EVERY = 5  # blendshapes that are solved between two writings of their fil
 
 
 def person_blendshapes(task: Task[Any], rig: Rig) -> Blendshapes:
-    """Return the person's blendshapes: those that were given, else solved now.
+    """Return the person's blendshapes: those that were given, else or where outdated solved now.
 
     They are left beside the job's files, with the basis of expressions that they begin with, by
     :func:`left_files`. Raises ``blendshapes.*`` and ``basis.*``.
@@ -38,8 +39,10 @@ def person_blendshapes(task: Task[Any], rig: Rig) -> Blendshapes:
     shapes = None
     if "blendshapes" in task.inputs:
         shapes = Blendshapes.load(task.inputs["blendshapes"], model, S)
-    if shapes is None or shapes.drive != rig.drive:  # solved by a release without limits
-        shapes = _solve(task, rig, kept)
+    if shapes is not None and shapes.drive != rig.drive:  # solved by a release without limits
+        shapes = None
+    if shapes is None or shapes.outdated:
+        shapes = _solve(task, rig, kept, shapes.shapes if shapes else {})
     shapes.save(kept, model, S)
     return shapes
 
@@ -59,13 +62,16 @@ def tell_blendshapes(shapes: Blendshapes) -> dict[str, Any]:
     }
 
 
-def _solve(task: Task[Any], rig: Rig, kept: Path) -> Blendshapes:
-    """Solve the person's blendshapes, those left of a resumed job; the file is ``kept`` up."""
+def _solve(task: Task[Any], rig: Rig, kept: Path, given: Mapping[str, Solved]) -> Blendshapes:
+    """Solve the person's blendshapes but those ``given`` or left of a resumed job.
+
+    The file is ``kept`` up.
+    """
     model = rig.model
     S = rig.weights
     anatomy = read_template(task)
     targets = expression_targets(model, anatomy.shapes)
-    done: dict[str, Solved] = {}
+    done = dict(given)
     if task.resume and kept.is_file():
         known = Blendshapes.load(kept, model, S)
         done.update(known.shapes if known.drive == rig.drive else {})

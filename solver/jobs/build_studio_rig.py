@@ -167,6 +167,7 @@ def tell_shapes(light: LightRig, shapes: StudioShapes) -> dict[str, Any]:
         "shapes_mean_mm": round(float(shapes.off_mm.mean()), 4),
         "shapes_worst_mm": round(float(shapes.off_mm.max()), 4),
         "not_settled_in_contact": list(shapes.unsettled),
+        "by_freed_muscles": list(shapes.freed),
         "joints": {
             name: place.round(4).tolist()
             for name, place in zip(skeleton.joints, skeleton.places, strict=True)

@@ -60,9 +60,12 @@ class DetailOptions:
     rounds: int = 2  # of weighing that
     most: float = 1.0  # height; what is twice as high is no detail
     steepest: float = 0.5  # least cosine of a normal with the mesh's
-    # edges of the mesh by those of the scan, from which on it counts, and counts fully
-    finer: tuple[float, float] = (1.0, 1.5)
-    least_share: float = 0.1  # of the face on which the scan is finer: below, nothing is baked
+    # edges of the mesh by those of the scan, from which on it counts, and counts fully: normals of
+    # a scan with edges twice as long still tell more of a face than a template's
+    finer: tuple[float, float] = (0.5, 1.0)
+    # the same from which on a scan is finer, as it has to be on that share of the face
+    least_finer: float = 1.25
+    least_share: float = 0.1
     margin: float = 15.0  # around the skin within which the scan is looked at
     steps: int = 1  # to where a normal of the skin meets the scan
     chunk: int = 200_000  # texels that are looked up at a time
@@ -119,10 +122,13 @@ def bake_detail(
     quiet = quieten(near, on_face)
     placed = PlacedScan(quiet.surface, skin, topology.face, options.trust)
     shown = placed.look_up(skin.vertices, vertex_normals(skin))
-    finer = _finer(skin, quiet.surface, shown, options)
+    fineness = _fineness(skin, quiet.surface, shown)
     area = vertex_areas(skin.vertices, skin.faces)[topology.face]
-    if np.average(finer[topology.face] > 0.5, weights=area) < options.least_share:
+    is_finer = fineness[topology.face] > options.least_finer
+    if np.average(is_finer, weights=area) < options.least_share:
         return None
+    least, most = options.finer
+    finer = np.clip((fineness - least) / (most - least), 0.0, 1.0)
     texels = Texels.of(skin, coordinates, options.size)
     own = texels.within(topology.outer)
     own = own[_with_a_ring(skin, shown.confidence > 0.0)[texels.faces[own]]]
@@ -131,7 +137,7 @@ def bake_detail(
     normals = np.tile([0.0, 0.0, 1.0], (len(texels.rows), 1))
     known = np.zeros(len(texels.rows))
     believed = np.clip(compared.confidence / options.surest, 0.0, 1.0)
-    believed *= np.clip(texels.at(finer[:, None], own)[:, 0], 0.0, 1.0)
+    believed *= texels.at(finer[:, None], own)[:, 0]
     heights[own], normals[own], known[own] = _kept(compared, believed, quiet, options)
     face = texels.within(topology.face)
     seen = known[face] > 0.5
@@ -158,13 +164,11 @@ def _around(scan: Surface, points: Floats, margin: float) -> Surface:
     return part_of(scan, np.flatnonzero(is_near[scan.faces].all(axis=1)))
 
 
-def _finer(skin: Surface, scan: Surface, shown: Shown, options: DetailOptions) -> Floats:
-    """Return how much (n,), from 0 to 1, a scan counts at a skin's vertices by its edges."""
+def _fineness(skin: Surface, scan: Surface, shown: Shown) -> Floats:
+    """Return the edges (n,) at a skin's vertices by those of the scan there; 0: it shows none."""
     at_scan = _edge_lengths(scan)[scan.faces[shown.faces]]
     ratio = _edge_lengths(skin) / np.maximum(np.einsum("nc,nc->n", shown.shares, at_scan), 1e-9)
-    least, most = options.finer
-    finer = np.clip((ratio - least) / (most - least), 0.0, 1.0)
-    return np.where(shown.confidence > 0.0, finer, 0.0)
+    return np.where(shown.confidence > 0.0, ratio, 0.0)
 
 
 def _edge_lengths(surface: Surface) -> Floats:

@@ -1,9 +1,16 @@
-"""A scanner's own noise: how much of it there is, and a scan smoothed until it no longer shows.
+"""A scanner's own noise: how much of it there is, and a scan smoothed as far as that pays.
 
 Noise is what differs from vertex to vertex without regard to its neighbours. With A the mean over
 neighbours, (1 - A)^2 x is left of a scan x by neither a slope nor a bend, and of noise of deviation
 s it leaves s |row|. Skin's relief that is no wider than some of the scan's edges looks the same and
 is taken for noise: better too smooth than pores that nobody has.
+
+Smoothing takes shape as well, the more the coarser a scan is. With n_k the normals after k means
+and d_k what noise of that deviation does to them, their square error is about (Stein 1981)
+
+    max(|n_k - n_0|^2 - |d_k - d_0|^2, 0) + |d_k|^2,
+
+shape that is gone and noise that is left; the k with the least is taken.
 """
 
 from __future__ import annotations
@@ -20,10 +27,9 @@ QUARTILE = 3.138  # deviation of normal numbers by that of which a quarter are s
 
 @dataclass(frozen=True)
 class NoiseOptions:
-    """How quiet a scan has to be."""
+    """How a scan's noise is told, and taken."""
 
-    turn: float = 1.0  # degrees by which noise may turn normals, root mean square
-    steps: tuple[int, ...] = (0, 1, 2, 4, 8, 16)  # of smoothing that are tried, the first that does
+    steps: tuple[int, ...] = (0, 1, 2, 4, 8, 16)  # of smoothing that are tried, 0 the first
     around: int = 12  # means over neighbours of what noise does, for an estimate in each place
     most: int = 100_000  # vertices by which noise is told
     seed: int = 0  # of noise that is added to see what it does
@@ -44,7 +50,7 @@ class QuietScan:
 
 
 def quieten(scan: Surface, skin: Ints, options: NoiseOptions = NOISE) -> QuietScan:
-    """Return a scan in mm, smoothed as little as its noise allows.
+    """Return a scan in mm, smoothed by as many steps as bring its normals nearest to the skin's.
 
     Noise is what the vertices ``skin`` (k,) have, which are no hair or cloth.
     """
@@ -57,8 +63,15 @@ def quieten(scan: Surface, skin: Ints, options: NoiseOptions = NOISE) -> QuietSc
     noise = _deviation(scan.vertices, normals, mean, chosen)
     drawn = noise * np.random.default_rng(options.seed).standard_normal((count, 1)) * normals
     areas = vertex_areas(scan.vertices, scan.faces)
+
+    def size(turns: Floats) -> float:
+        """Return the mean square of changes of normals (n, 3)."""
+        return float(np.average((turns[skin] ** 2).sum(axis=1), weights=areas[skin]))
+
     points = scan.vertices
     taken = 0
+    first: tuple[Floats, Floats] | None = None
+    best: tuple[float, QuietScan] | None = None
     for steps in options.steps:
         for _ in range(steps - taken):
             points = 0.5 * (points + mean @ points)
@@ -66,13 +79,18 @@ def quieten(scan: Surface, skin: Ints, options: NoiseOptions = NOISE) -> QuietSc
         taken = steps
         smooth = Surface(points, scan.faces)
         own = vertex_normals(smooth)
-        turned = ((vertex_normals(smooth.with_vertices(points + drawn)) - own) ** 2).sum(axis=1)
-        if np.average(turned[skin], weights=areas[skin]) <= np.radians(options.turn) ** 2:
+        turned = vertex_normals(smooth.with_vertices(points + drawn)) - own
+        first = first or (own, turned)
+        gone = max(size(own - first[0]) - size(turned - first[1]), 0.0)
+        error = gone + size(turned)
+        if best is not None and error >= best[0]:
             break
-    left = np.column_stack([np.einsum("nd,nd->n", drawn, own) ** 2, turned])
-    for _ in range(options.around):
-        left = 0.5 * (left + mean @ left)
-    return QuietScan(smooth, noise, taken, left[:, 0], left[:, 1])
+        left = np.column_stack([np.einsum("nd,nd->n", drawn, own) ** 2, (turned**2).sum(axis=1)])
+        for _ in range(options.around):
+            left = 0.5 * (left + mean @ left)
+        best = error, QuietScan(smooth, noise, steps, left[:, 0], left[:, 1])
+    assert best is not None, "some steps are tried"
+    return best[1]
 
 
 def _deviation(points: Floats, normals: Floats, mean: sp.csr_array, chosen: Ints) -> float:

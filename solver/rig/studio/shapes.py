@@ -1,20 +1,34 @@
-"""ARKit's shapes of a person, each made by the muscles in flesh that meets teeth and eyeballs."""
+"""ARKit's shapes of a person, each made by the muscles in flesh that meets teeth and eyeballs.
+
+Some of the template's shapes are beyond living muscles: air blows up a cheek, and no lips meet
+over a jaw as wide open as a sculptor has it. A studio's shape is about the skin, so that one which
+muscles miss by more than :class:`FreedOptions` allow is made again by freed ones, which may push
+and swell, at hardly any price. It is still flesh that moves and meets what it meets.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from solver.anatomy.template import CORRECTED, ShapeBasis
 from solver.animation import Gaze, PosedFrame, RecordedDrives
-from solver.animation.blendshapes import DrivenShapes, driven_motions, solved_at
+from solver.animation.blendshapes import SHORT, DrivenShapes, ShapedPose, driven_motions, solved_at
 from solver.errors import SolveError
+from solver.fitting import activation
+from solver.fitting.activation import UNSEEN_STOP
+from solver.fitting.contact import terms
+from solver.fitting.face import Face
+from solver.fitting.objective import Regulariser, Target
 from solver.kinds.scene import SimulateScene
 from solver.mechanics.boundary import JAW_FREEDOM
+from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.rig.rig import Rig
 from solver.rig.studio.lids import Lids
@@ -23,6 +37,21 @@ from solver.scene import Stage
 from solver.scene.places import Places
 from solver.surface import Floats
 from solver.templates.ict_facekit import arkit_source
+
+
+@dataclass(frozen=True)
+class FreedOptions:
+    """When muscles are freed, and how far."""
+
+    near_mm: float = 0.25  # mean distance of the face to the template's shape that is good enough
+    loosened: float = 0.5  # part of the way from living muscles' limits to none that matter
+    w_a: float = 1e-5  # price of activations
+    w_v: float = 1e-4  # and of their volume
+    w_b: float = 1e-6  # and of the jaw, which leaves its tracks
+
+
+FREED = FreedOptions()
+MadeBy = Literal["muscles", "freed muscles", "template"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +67,7 @@ class StudioShapes:
     eyes: Floats  # (s, 2, 3) rotation vectors, the subject's left eye first
     off_mm: Floats  # (s,) mean distance of the face to the template's shape
     unsettled: tuple[str, ...] = ()  # where the flesh found no rest: the template's own shapes
+    freed: tuple[str, ...] = ()  # made by muscles beyond the limits of living ones
 
     @cached_property
     def number(self) -> Mapping[str, int]:
@@ -60,7 +90,11 @@ class FleshShapes:
     :class:`~solver.scene.Stage`.
     """
 
-    def __init__(self, rig: Rig, driven: DrivenShapes, places: Places) -> None:
+    def __init__(
+        self, rig: Rig, driven: DrivenShapes, places: Places, options: FreedOptions = FREED
+    ) -> None:
+        self.options = options
+        self._rig = rig
         self._driven = driven
         self._limits = rig.limits
         rest = RecordedDrives(_rest(), driven, rig.model, limits=rig.limits)
@@ -74,7 +108,29 @@ class FleshShapes:
         Raises :class:`~solver.errors.SolveError` where the flesh finds no rest.
         """
         values = [weights.get(arkit_source(name), 0.0) for name in self._driven.names]
-        pose = PosedFrame.of(self._driven.pose_of(np.array(values), self._limits))
+        return self._play(self._driven.pose_of(np.array(values), self._limits))
+
+    def reach(self, points: Floats) -> Played:
+        """Return the skin whose face comes closest to ``points`` (k, 3), by freed muscles.
+
+        Raises :class:`~solver.errors.SolveError` where the flesh finds no rest.
+        """
+        face = self._freed
+        data = terms(face, {"shape": Target.from_points(points)})["shape"]
+        options = self.options
+        price = Regulariser(options.w_a, options.w_v, options.w_b, face.rest_pose())
+        found = activation.fit(face, data, price, None, UNSEEN_STOP, descent=SHORT).state.pose
+        return self._play(ShapedPose(found.a, face.five_jaw_numbers(found.b)))
+
+    @cached_property
+    def _freed(self) -> Face:
+        """The person with freed muscles, and a jaw that is free as well."""
+        drive = self._rig.drive
+        face = self._rig.face(fastest())
+        return face.driven_by(drive.loosen(self.options.loosened) or drive).with_free_jaw()
+
+    def _play(self, shaped: ShapedPose) -> Played:
+        pose = PosedFrame.of(shaped)
         goal = self._stage.drive(1.0, pose)
         y = self._stage.simulator.step(self._begin, self._drive, goal).y
         return Played(self._stage.skin(y, pose.jaw, pose.eyes, goal.time), pose.jaw)
@@ -96,45 +152,82 @@ def solve_studio_shapes(
     """Play every shape of ARKit that the template has, alone and whole, a corrective half way.
 
     ``basis`` are the template's shapes. What muscles do not move, such as a tongue, moves as the
-    template has it, and so does what they leave of lids. ``listen`` gets the shapes that are done,
-    and how many there are. Raises as :func:`~solver.animation.blendshapes.driven_motions`.
+    template has it, and so does what they leave of lids; where they leave more of a face than the
+    options of ``flesh`` allow, freed ones move it. ``listen`` gets the shapes that are done, and
+    how many there are. Raises as :func:`~solver.animation.blendshapes.driven_motions`.
     """
     shapes = dict(zip(basis.expression_names, basis.expressions.astype(np.float64), strict=True))
     sculpted = _by_source(shapes)
     names = tuple(name for name in ARKIT_NAMES if name in sculpted)
-    made = _by_source(driven_motions(model, basis))
+    moved = _by_source(driven_motions(model, basis))
     neutral = model.skin.vertices
     gaze = Gaze(model)
-    eyes = _eye_turns(gaze, neutral, [sculpted[name] for name in names])
-    motions = np.zeros((len(names), *neutral.shape))
-    jaws = np.zeros((len(names), JAW_FREEDOM))
-    off = np.zeros(len(names))
-    unsettled = []
     lids = Lids.of(model)
-    for row, name in enumerate(names):
+    turns = _eye_turns(gaze, neutral, [sculpted[name] for name in names])
+
+    def make(name: str, eyes: Floats) -> Made:
+        """Return the best that muscles make of a shape, else the template's own."""
         under = CORRECTED.get(name, name)
         share = solved_at(name)
-        both = sculpted[name] + (sculpted[under] if under != name else 0.0)
-        wanted = neutral + share * both
-        skin = wanted
-        if name in made:
-            try:
-                played = flesh.play({name: share, under: share})
-                skin = gaze.turn(played.skin, eyes[row])
-                jaws[row] = played.jaw / share
-            except SolveError:
-                unsettled.append(name)
-        for each in lids:
-            if each.moves(name):
-                skin = each.finish(skin, wanted)
-        motions[row] = (skin - neutral) / share
-        off[row] = np.linalg.norm((skin - wanted)[model.face], axis=1).mean() / share
+        wanted = neutral + share * (sculpted[name] + (sculpted[under] if under != name else 0.0))
+
+        def finish(played: Played, by: MadeBy) -> Made:
+            skin = gaze.turn(played.skin, eyes) if by != "template" else played.skin
+            for each in lids:
+                if each.moves(name):
+                    skin = each.finish(skin, wanted)
+            away = np.linalg.norm((skin - wanted)[model.face], axis=1).mean()
+            return Made((skin - neutral) / share, played.jaw / share, float(away) / share, by)
+
+        ways = [
+            lambda: finish(flesh.play({name: share, under: share}), "muscles"),
+            lambda: finish(flesh.reach(wanted[model.face]), "freed muscles"),
+        ]
+        best = nearest(ways, flesh.options.near_mm) if name in moved else None
+        return best or finish(Played(wanted, np.zeros(JAW_FREEDOM)), "template")
+
+    found = {}
+    for row, name in enumerate(names):
+        found[name] = make(name, turns[row])
         listen(row + 1, len(names))
+    motions = {name: each.motion for name, each in found.items()}
+    jaws = {name: each.jaw for name, each in found.items()}
     for name, under in CORRECTED.items():
-        if name in names and under in names:
-            motions[names.index(name)] -= motions[names.index(under)]
-            jaws[names.index(name)] -= jaws[names.index(under)]
-    return StudioShapes(names, motions, jaws, eyes, off, tuple(unsettled))
+        if name in found and under in found:
+            motions[name] = motions[name] - motions[under]
+            jaws[name] = jaws[name] - jaws[under]
+    return StudioShapes(
+        names,
+        np.array([motions[name] for name in names]),
+        np.array([jaws[name] for name in names]),
+        turns,
+        np.array([each.off_mm for each in found.values()]),
+        tuple(n for n, each in found.items() if n in moved and each.by == "template"),
+        tuple(n for n, each in found.items() if each.by == "freed muscles"),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A shape at weight 1: its ``motion`` (V, 3), the ``jaw`` (5,), and what it was made by."""
+
+    motion: Floats
+    jaw: Floats
+    off_mm: float
+    by: MadeBy
+
+
+def nearest(ways: Iterable[Callable[[], Made]], near_mm: float) -> Made | None:
+    """Return the nearest of ``ways`` that come to rest, tried in turn until one is near enough."""
+    best: Made | None = None
+    for way in ways:
+        if best is not None and best.off_mm <= near_mm:
+            break
+        with suppress(SolveError):
+            made = way()
+            if best is None or made.off_mm < best.off_mm:
+                best = made
+    return best
 
 
 def _by_source(motions: Mapping[str, Floats]) -> dict[str, Floats]:

@@ -287,6 +287,20 @@ def test_shapes_that_a_release_before_kept_are_read(tmp_path: Path) -> None:
         Blendshapes.load(file, model, 0.5 * S)
 
 
+def test_a_corrective_that_was_solved_at_another_weight_is_left_out(tmp_path: Path) -> None:
+    model = head_block()
+    file = tmp_path / "blendshapes.npz"
+    solved = Solved(Pose(np.tile(IDENTITY, (model.muscle_count, 1)), np.zeros(5)), 0.1)
+    names = ("jawOpen", "mouthClose")
+    Blendshapes(model.muscle_names, dict.fromkeys(names, solved)).save(file, model, model.weights)
+    assert Blendshapes.load(file, model, model.weights).names == names
+    before = Archive.read(file, "blendshapes", "", FORMAT)
+    del before.header["corrected_at"]
+    before.write(file)
+    kept = Blendshapes.load(file, model, model.weights)
+    assert (kept.names, kept.outdated) == (("jawOpen",), ("mouthClose",))
+
+
 def opened_block() -> tuple[Face, dict[str, np.ndarray]]:
     """Return a face within limits, and the changes of its controls of shapes that are far off."""
     face = Face(fibred_block()).driven_as(Admissible(limits_by_plausibility(1.0)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,24 +11,28 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from solver.anatomy.texture_coordinates import TextureCoordinates
+from solver.animation.blendshapes import Blendshapes
 from solver.contact.obstacles import Eyeball
 from solver.drawing.head import skin_parts
 from solver.errors import InputError, SolveError
+from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face, Pose
 from solver.mechanics.boundary import FreeJaw
 from solver.mechanics.flesh import IDENTITY
 from solver.meshio.colours import read_colours
 from solver.meshio.raw import read_raw
 from solver.registration.texture import Texture
+from solver.rig import Rig
 from solver.rig.frames.read_back import accessor_values, split_glb
 from solver.rig.studio.glb import compare_glb, write_glb
 from solver.rig.studio.levels import carry_texture, distance_mm, simplify
 from solver.rig.studio.lids import Lids
 from solver.rig.studio.light_rig import LightRig
 from solver.rig.studio.parts import TEXTURED, parts_of
-from solver.rig.studio.shapes import StudioShapes
+from solver.rig.studio.shapes import FleshShapes, Made, MadeBy, StudioShapes, nearest
 from solver.rig.studio.skeleton import HEAD, JAW, Skeleton
 from solver.rig.studio.skin_texture import SkinTexture
+from solver.scene.places import Places
 from solver.surface import Surface
 from tests.solver.block import head_block
 
@@ -46,6 +51,52 @@ def shapes() -> StudioShapes:
     motions = np.array([opened, -0.3 * opened, bulge])
     jaw = np.array([OPEN, -0.1 * OPEN, 0.0 * OPEN])
     return StudioShapes(NAMES, motions, jaw, np.zeros((3, 2, 3)), np.zeros(3))
+
+
+def test_a_shape_is_made_by_the_first_way_that_is_near_enough() -> None:
+    """Muscles first, freed ones where they are too far off, whichever is nearer then."""
+    tried: list[str] = []
+
+    def way(by: MadeBy, off_mm: float | None) -> Callable[[], Made]:
+        def make() -> Made:
+            tried.append(by)
+            if off_mm is None:
+                raise SolveError("solve.no_convergence", "no rest")
+            return Made(np.zeros((1, 3)), np.zeros(5), off_mm, by)
+
+        return make
+
+    def best(muscles: float | None, freed: float | None) -> str | None:
+        tried.clear()
+        made = nearest([way("muscles", muscles), way("freed muscles", freed)], 0.25)
+        return made.by if made else None
+
+    assert best(0.2, 0.1) == "muscles"
+    assert tried == ["muscles"]
+    assert best(0.4, 0.1) == "freed muscles"
+    assert best(0.4, 0.5) == best(0.4, None) == "muscles"
+    assert best(None, 0.5) == "freed muscles"
+    assert best(None, None) is None
+
+
+def test_freed_muscles_reach_what_living_ones_do_not() -> None:
+    """A muscle that swells moves the skin; a living one keeps its volume."""
+    model = MODEL
+    face = Face(model)
+    living = face.driven_as(Admissible())
+    grown = np.tile(1.3 * IDENTITY, (model.muscle_count, 1))
+    limits = living.layout.drive.feasible
+    assert limits is not None
+    assert (limits.margins(grown) < 0.0).any()
+    points = face.face_points(face.continuation(face.rest, Pose(grown, np.zeros(5))).x)
+    rig = Rig(model, model.weights, (), drive=Admissible())
+    still = Blendshapes(model.muscle_names, {}, Admissible())
+    flesh = FleshShapes(rig, still, Places(model, {}))
+    neutral = model.skin.vertices[model.face]
+    away = np.linalg.norm(points - neutral, axis=1).mean()
+    reached = flesh.reach(points).skin[model.face]
+    assert away > 0.1
+    assert np.linalg.norm(reached - points, axis=1).mean() < 0.2 * away
 
 
 def test_skinning_and_what_is_before_it_are_inverse() -> None:

@@ -13,15 +13,17 @@ const FLAT = new Uint8Array([128, 128, 255, 255]); // the normal of a mesh alone
 const CHUNK = "#include <normal_fragment_maps>";
 const SCALED = "mapN.xy *= normalScale;";
 
-/** The detail on a `material`; `maps` are `{ name, drivenBy, texture }`, of which eight are shown. */
+/** The detail on a `material`; `maps` are `{ name, drivenBy, texture }`, of which the eight strongest are shown. */
 export class SkinDetail {
   #maps;
+  #slots; // what the shader has: the maps that are strongest at the moment
   #own = { value: 1 };
   #isOn = true;
   #weights = new Map();
 
   constructor(material, maps) {
-    this.#maps = maps.slice(0, MOST).map((map) => ({ ...map, strength: { value: 0 } }));
+    this.#maps = maps.map((map) => ({ ...map, strength: 0 }));
+    this.#slots = maps.slice(0, MOST).map(({ texture }) => ({ texture: { value: texture }, strength: { value: 0 } }));
     if (!material.normalMap) {
       if (!maps.length) return;
       material.normalMap = new DataTexture(FLAT, 1, 1);
@@ -34,7 +36,7 @@ export class SkinDetail {
 
   /** How strong the wrinkles of each expression are, by name. */
   get strengths() {
-    return new Map(this.#maps.map(({ name, strength }) => [name, strength.value]));
+    return new Map(this.#maps.map(({ name, strength }) => [name, strength]));
   }
 
   /** Show the neutral's detail or none. */
@@ -51,22 +53,27 @@ export class SkinDetail {
   /** Bring the wrinkles of shapes with these weights. */
   pose(weights) {
     this.#weights = weights;
-    for (const { drivenBy, strength } of this.#maps) {
-      const made = Object.entries(drivenBy);
+    for (const map of this.#maps) {
+      const made = Object.entries(map.drivenBy);
       const along = made.reduce((sum, [name, c]) => sum + c * (weights.get(name) ?? 0), 0);
       const whole = made.reduce((sum, [, c]) => sum + c * c, 0);
-      strength.value = this.#isOn ? Math.min(Math.max(along, 0) / whole, 1) : 0;
+      map.strength = this.#isOn ? Math.min(Math.max(along, 0) / whole, 1) : 0;
     }
+    const strongest = [...this.#maps].sort((a, b) => b.strength - a.strength);
+    this.#slots.forEach(({ texture, strength }, i) => {
+      texture.value = strongest[i].texture;
+      strength.value = strongest[i].strength;
+    });
   }
 
   #mix(shader) {
     shader.uniforms.ownDetail = this.#own;
-    this.#maps.forEach(({ texture, strength }, i) => {
-      shader.uniforms[`wrinkles${i}`] = { value: texture };
+    this.#slots.forEach(({ texture, strength }, i) => {
+      shader.uniforms[`wrinkles${i}`] = texture;
       shader.uniforms[`strength${i}`] = strength;
     });
-    const declared = this.#maps.map((_, i) => `uniform sampler2D wrinkles${i};\nuniform float strength${i};\n`);
-    const added = this.#maps.map((_, i) => `{
+    const declared = this.#slots.map((_, i) => `uniform sampler2D wrinkles${i};\nuniform float strength${i};\n`);
+    const added = this.#slots.map((_, i) => `{
       vec4 map = texture2D(wrinkles${i}, vNormalMapUv);
       vec3 e = 2.0 * map.xyz - 1.0;
       slopes += strength${i} * map.a * normalScale * e.xy / max(e.z, ${LEAST_UP});
