@@ -158,7 +158,8 @@ class Recruitment:
         contraction = options.contraction * (strengths * self.named).max(axis=0)
         mean = np.tile(IDENTITY, (len(price), 1))
         fibred, shortened = self._shortened
-        mean[fibred] = shortened(1.0 - contraction[fibred])
+        pulls = contraction[fibred] > 0.0  # the others rest, to the last digit
+        mean[fibred[pulls]] = shortened(1.0 - contraction[fibred])[pulls]
         sides = replace(self.sides, weight=options.even * explained * self.evenness(amounts))
         effort = replace(self.effort, weights=options.effort * explained * (1.0 - called))
         return Recruited((price**explained)[:, None], mean, sides, effort, self.closers)
@@ -236,7 +237,7 @@ class _SeenMotions:
 
     def is_of(self, target: Target) -> bool:
         """Tell whether a target sees alike."""
-        alike = self.normals is target.normals is None
+        alike = self.normals is None and target.normals is None
         return alike and np.array_equal(self.weights, target.weights)
 
     def of_points(self, motion: Floats) -> Floats:

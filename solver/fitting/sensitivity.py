@@ -47,7 +47,7 @@ class Jacobian:
     )
 
     def in_single_precision(self) -> Jacobian:
-        """Return one that is read in half the time, for fits that correct where it leads."""
+        """Halve the time of reading it; what corrects the flesh takes up the rounding."""
         return replace(self, flesh=self.flesh.astype(np.float32))
 
     def flesh_motion(self, change: Floats) -> Floats:

@@ -212,6 +212,7 @@ def _fit(
     points: SkinPoints,
     options: FilmOptions,
 ) -> list[Path]:
+    """Fit the frames of a film in turn, by the landmarks' ``points`` on the skin."""
     given = task.options
     out = task.out
     progress = task.progress

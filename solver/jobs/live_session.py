@@ -270,7 +270,8 @@ class _Loop:
         with suppress(ChannelClosedError):
             self._stop(session)
             self._tell({"type": "ended", "reason": reason})
-        (out / SAMPLES_FILE).unlink(missing_ok=True)  # nobody goes on from here
+        for left in out.glob(f"{SAMPLES_FILE}*"):  # nobody goes on from here
+            left.unlink(missing_ok=True)
         figures = {} if session is None else session.figures()
         seconds = round(time.monotonic() - self._begin, 1)
         report = {**figures, "dropped": self._dropped, "seconds": seconds, "ended": reason}

@@ -52,7 +52,8 @@ class FitTracks(FitOptions):
         default=20,
         ge=1,
         le=500,
-        description="Gauss-Newton iterations per expression at most, by weights",
+        description="most Gauss-Newton iterations of an expression by weights, of tracks and plain "
+        "shapes; fits by muscles and by single tets have their own",
     )
     linear_solver: LinearSolver = None
 

@@ -36,8 +36,9 @@ class LearnControls(JobOptions):
     )
     map: Literal["quadratic+network", "quadratic", "network", "published"] = Field(
         default="quadratic+network",
-        description="what is played: what lies between a polynomial and a network, or one of them; "
-        "or, to compare with, a network of the layers and the training of the published one",
+        description="quadratic+network: between a polynomial and a network, where held-out walks "
+        "say; quadratic, network: one alone; published: to compare with, four layers of 100 ReLU, "
+        "trained as published",
     )
     modes: Whole = Field(
         default=128, ge=16, le=512, description="directions of muscles and jaw that are learned"

@@ -21,10 +21,11 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+import structlog
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from solver.errors import SolveError
+from solver.errors import InputError, SolveError
 from solver.fitting import prior
 from solver.fitting.activation import unseen_regulariser
 from solver.fitting.markers.observation import MarkerOptions, Markers, SeenMarkers
@@ -37,6 +38,8 @@ from solver.live.rigged import LiveFace
 from solver.scans.markers.places.marker_set import MarkerSet
 from solver.surface import Floats
 
+log = structlog.get_logger(__name__)
+
 # Frames that were solved, for an attempt that goes on where a worker died
 SAMPLES_FILE = "live_samples.npz"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -47,7 +50,8 @@ class CheckOptions:
     """How frames are solved beside a session."""
 
     pause_s: float = 0.1  # between two of them
-    usual_s: float = 0.15  # from one to the next, about: they take their time, too
+    usual_s: float = 0.15  # usual time between samples, solve included
+    alike_s: float = 0.15  # most time in which frames count as one that stands for them
     niceness: int = 10  # of their process: frames come first
     ending_s: float = 1.0  # that it gets to end: it has nothing to lose
     keeping_s: float = 5.0  # between two times that the frames which were solved are written
@@ -119,8 +123,8 @@ class FleshSolver(FullSolver):
 class MarkerSolver(FullSolver):
     """The fit of a take's markers, by the prior of the template's expressions.
 
-    Frames come ``seconds`` apart, and each stands for as many ``alike`` as the take has in that
-    time: what a take tells of muscles little by little, over a second, a few frames tell as well.
+    Frames come ``seconds`` apart, and each stands for ``alike`` frames of the take about it: what
+    they tell of muscles little by little one has to tell as well.
     """
 
     def __init__(
@@ -190,7 +194,10 @@ class Checks:
         self._kept = time.monotonic()
         if order.resume and self._file.is_file():
             features = len(face.live.names) + order.clues
-            self._mender.load(self._file, features, len(face.live.basis))
+            try:
+                self._mender.load(self._file, features, len(face.live.basis))
+            except (InputError, ValueError, LookupError, OSError) as error:
+                log.warning("samples.unreadable", file=self._file.name, error=str(error))
 
     def known(self) -> Mend | None:
         """Return what is known of the skin before any frame is solved; None: nothing."""
@@ -301,7 +308,8 @@ def _work(order: CheckOrder, receive: Connection, send: Connection) -> None:
         os.nice(order.options.niceness)
     face = LiveFace.open(order.files, order.out)
     usual = max(order.options.pause_s, order.options.usual_s)
-    solver = open_solver(face, order.source, order.files, usual, usual * order.rate)
+    alike = min(usual, order.options.alike_s) * order.rate
+    solver = open_solver(face, order.source, order.files, usual, alike)
     checks = Checks(face, solver, order)
     with suppress(EOFError, BrokenPipeError):
         send.send(checks.known())

@@ -192,6 +192,9 @@ class PlaceFollower:
         self._precision = 1.0 / (sigma**2 + options.noise_mm**2)
         self._prior = GaussianPrior(np.zeros(count), options.spread**2 * np.eye(count))
         self.begin()
+        # compiles what frames call, so that the first of a session does not wait for it
+        self.step(places.at(np.zeros(count)), 1.0)
+        self.begin()
 
     def begin(self, memory: Memory | None = None) -> None:
         """Go on from a frame, or begin at rest."""

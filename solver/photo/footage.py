@@ -6,6 +6,7 @@ Frames come one after the other and are never all in memory; to go back is to be
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -14,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from solver.errors import InputError, file_error, quote_names
+from solver.errors import InputError, file_error, quote, quote_names
 from solver.kinds import MOST_FILM_FRAMES, ROLES
 from solver.kinds.inputs import ARCHIVES
 from solver.meshio.archive import ArchiveLimits, Member, unpacked
@@ -25,7 +26,7 @@ from solver.scans.film import FilmLimits, FilmPicture, decode_film
 
 LIMITS = FilmLimits(LEAST_SIDE, MOST_PIXELS, MOST_FILM_FRAMES)
 # a JSON beside each picture
-ARCHIVE = ArchiveLimits(4 << 30, 2 * MOST_FILM_FRAMES, "film.unreadable", "its pictures")
+PICTURE_LIMITS = ArchiveLimits(4 << 30, 2 * MOST_FILM_FRAMES, "film.unreadable", "its pictures")
 
 
 class Footage(Protocol):
@@ -137,14 +138,23 @@ def opened_film(path: Path, landmarks: Collection[str] = ()) -> Iterator[Footage
 
     def pictures(members: Sequence[Member]) -> list[Member]:
         """Return the pictures of an archive and what is known of them."""
-        chosen = [each for each in members if each[0].suffix.lower() in kinds]
-        folders = sorted({str(place.parent) for place, _ in chosen})
+        folders = sorted(
+            {
+                str(place.parent)
+                for place, _ in members
+                if place.suffix.lower() in ROLES["photo"].formats
+            }
+        )
         if len(folders) > 1:
             reason = f"a ZIP of a film has pictures in one folder, not in {quote_names(folders)}"
-            raise file_error(ARCHIVE.code, path.name, reason, found=folders)
-        return chosen
+            raise file_error(PICTURE_LIMITS.code, path.name, reason, found=folders)
+        return [
+            each
+            for each in members
+            if each[0].suffix.lower() in kinds and str(each[0].parent) in folders
+        ]
 
-    with unpacked(path, ARCHIVE, pictures) as folder:
+    with unpacked(path, PICTURE_LIMITS, pictures) as folder:
         yield open_pictures(folder, landmarks, path.name)
 
 
@@ -160,10 +170,15 @@ def open_pictures(path: Path, landmarks: Collection[str], film: str) -> Pictures
     """Return the frames of a folder of pictures, a ``film`` that is called so.
 
     What is known of a picture lies beside it: JSON of the same name. ``landmarks`` are a template's
-    own. Raises :class:`InputError`: ``film.unreadable`` without any, ``film.long`` for too many.
+    own. Raises :class:`InputError`: ``film.unreadable`` without any or for two of one name,
+    ``film.long`` for too many.
     """
     pictures = [each for each in path.iterdir() if each.suffix.lower() in ROLES["photo"].formats]
     paths = {each.stem: each for each in pictures}
+    for name, count in Counter(each.stem for each in pictures).items():
+        if count > 1:
+            message = f"{film} has two pictures called {quote(name)}"
+            raise InputError("film.unreadable", message, file=film, found=name)
     facts = {name: each for name in paths if (each := path / f"{name}.json").is_file()}
     if not paths:
         raise InputError("film.unreadable", f"{film} has no pictures", file=film)

@@ -27,7 +27,7 @@ QUARTILE = 3.138  # deviation of normal numbers by that of which a quarter are s
 
 @dataclass(frozen=True)
 class NoiseOptions:
-    """How a scan's noise is told, and taken."""
+    """How a scan's noise is estimated and smoothed."""
 
     steps: tuple[int, ...] = (0, 1, 2, 4, 8, 16)  # of smoothing that are tried, 0 the first
     around: int = 12  # means over neighbours of what noise does, for an estimate in each place

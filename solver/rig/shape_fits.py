@@ -98,7 +98,7 @@ def _round_trip(face: ShapeFace[State], rest: State, found: State) -> RoundTrip:
     """Return how far the skin is off the fitted one where the controls lead to it from rest."""
     try:
         again = face.move(rest, found.q)
-    except SolveError:
+    except (SolveError, np.linalg.LinAlgError):
         return RoundTrip()
     ids = face.face.model.face
     apart = np.linalg.norm(face.skin(again)[ids] - face.skin(found)[ids], axis=1)

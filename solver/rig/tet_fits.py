@@ -56,6 +56,8 @@ class TetFitter:
         begun = time.perf_counter()
         try:
             found = per_tet.fit(self._face, self._data[name], options=self.options, listen=listen)
+            if not (np.isfinite(found.state.x).all() and np.isfinite(found.state.pose.a).all()):
+                raise SolveError("solve.not_finite", f"the fit of {name} is not finite")
         except (SolveError, np.linalg.LinAlgError) as error:
             notice = make_warning("solve.failed", f"no fit was found ({error})")
             at_rest = self._described(name, scan, self._tissue.face.rest)
@@ -96,7 +98,7 @@ class TetFitter:
         face = self._tissue.face
         try:
             again = face.continuation(face.rest, Pose(found.pose.a, found.pose.b))
-        except SolveError:
+        except (SolveError, np.linalg.LinAlgError):
             return RoundTrip()
         apart = np.linalg.norm(face.face_points(again.x) - face.face_points(found.x), axis=1)
         return RoundTrip(float(apart.mean()), float(apart.max()))

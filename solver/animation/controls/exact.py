@@ -61,7 +61,9 @@ class MixtureTracker:
         found = self._step(points)
         if found is not None and found.off_mm > self._refit_above_mm:
             self.tracker.solver.expire()
-            found = self._step(points) or found
+            again = self._step(points)
+            if again is not None and again.off_mm < found.off_mm:
+                return again
         return found
 
     def _step(self, points: Floats) -> MixtureFit | None:

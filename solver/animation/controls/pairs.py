@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from solver.animation.controls.exact import MixtureTracker
 from solver.animation.controls.maps import Leverage, PolynomialMap, ShapeSizes
 from solver.animation.controls.metric import changes_of, pose_of
-from solver.animation.controls.mixtures import Mixtures
+from solver.animation.controls.mixtures import Mixtures, WalkOptions
 from solver.animation.controls.skin import SkinModes
 from solver.errors import InputError, SolveError
 from solver.fitting.expression_basis import face_identity
@@ -109,6 +109,7 @@ class Pairs:
             "of": face_identity(face),
             "names": self.names,
             "failed": self.failed,
+            "fitted_on": True,
         }
         modes = {"rest": self.modes.rest, "modes": self.modes.modes}
         Archive(header, {**singles, **modes}).write(path)
@@ -116,6 +117,9 @@ class Pairs:
     @classmethod
     def load(cls, path: Path, face: Face, names: Sequence[str]) -> Pairs:
         """Read pairs that :meth:`save` wrote of ``face``.
+
+        Earlier releases did not fit pairs on where muscles are at their limits: theirs are left out
+        that ended far from their mixtures.
 
         Raises :class:`InputError`: ``control_pairs.unreadable``, ``control_pairs.format``, or
         ``control_pairs.model`` if they are of another rig or of other shapes.
@@ -134,6 +138,8 @@ class Pairs:
                     for name, a in arrays.items()
                 }
             )
+            if not header.get("fitted_on"):
+                rows = rows[rows.off_mm <= WalkOptions().refit_above_mm]
             modes = SkinModes(data["rest"], data["modes"])
             return cls(tuple(names), rows, modes, int(header["failed"]))
         except (LookupError, TypeError, ValueError) as error:
@@ -168,8 +174,8 @@ class Walks:
     """Walks on a ``face`` through mixtures of shapes, ``motions`` (e, k, 3) of its points in mm.
 
     Walk 0 goes through every shape alone, walk n through what the n-th generator of ``seed``
-    draws, so that each is the same whatever ran before it. Skins are reduced to ``modes``, if
-    these are known. ``guide`` is for walks that jump.
+    draws; those that jump depend on the pairs of the ones in steps as well, by the ``guide``. Skins
+    are reduced to ``modes``, if these are known.
     """
 
     face: Face
@@ -206,6 +212,7 @@ class Walks:
         return found[: given.stops]
 
     def _choose(self, random: np.random.Generator, guide: Guide) -> list[Floats]:
+        """Return mixtures (e,) of those that are drawn, by how little pairs tell of them."""
         found = []
         for _ in range(self.mixtures.options.stops):
             kind = self.mixtures.draw_kind(random)

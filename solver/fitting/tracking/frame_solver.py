@@ -37,8 +37,8 @@ from solver.surface import Floats
 class TrackingOptions:
     """The steps of a frame, and when what lags is made anew."""
 
-    # SQP steps at most, the part of f that a step has to promise, and the gain below which another
-    # is not worth what telling its promise costs
+    # SQP steps at most, the part of f that a step has to promise, and the part of f that one has to
+    # gain for another one to be tried
     stop: StopOptions = field(default_factory=lambda: StopOptions(3, promised=8e-3, gained=0.1))
     least_ratio: float = 0.2  # of a gain to the promised one, below which the frame's steps end
     damping: DampingOptions = field(
@@ -140,9 +140,10 @@ class FrameSolver:
         self.state = found.point
         self._value = found.value
         self._age += 1
-        if found.termination != Termination.CONVERGED:
-            all_taken = found.termination == Termination.ITERATIONS
-            if self._age >= (options.stale_frames if all_taken else options.lagged_frames):
+        # where nothing more was promised the sensitivities have nothing to do with it
+        if found.termination != Termination.CONVERGED or not found.idle:
+            is_unreliable = found.termination in (Termination.UNRELIABLE, Termination.STUCK)
+            if self._age >= (options.lagged_frames if is_unreliable else options.stale_frames):
                 self.relinearise(data, weights)
         return found.steps
 

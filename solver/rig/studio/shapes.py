@@ -223,7 +223,7 @@ def nearest(ways: Iterable[Callable[[], Made]], near_mm: float) -> Made | None:
     for way in ways:
         if best is not None and best.off_mm <= near_mm:
             break
-        with suppress(SolveError):
+        with suppress(SolveError, np.linalg.LinAlgError):
             made = way()
             if best is None or made.off_mm < best.off_mm:
                 best = made

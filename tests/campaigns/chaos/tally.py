@@ -131,9 +131,7 @@ class Tally:
         fine = job.state is State.SUCCEEDED and ends == 1 and not job.lease_owner
         self._check("the live session", found, fine)
         during = self._during(station.since, station.longest_s)
-        told = (
-            f"{station.longest_s:.1f} of {station.followed} faces, {during} {station.error or ''}"
-        )
+        told = f"{station.longest_s:.1f} of {station.followed} faces, {during}"
         fine = station.longest_s < STILL and station.error is None
         self._check("a live face stood still, s", f"{told} {station.error or ''}".strip(), fine)
 

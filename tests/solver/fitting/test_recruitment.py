@@ -14,6 +14,7 @@ from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.recruitment import Effort, EvenSides, Recruitment, RecruitmentOptions, recruit
 from solver.fitting.stretches import determinants, fibre_tensors, isochoric_activation
 from solver.model import Expressions
+from solver.surface import vertex_normals
 from tests.fixtures import small_model
 from tests.solver.block import block_model, differences, divided_block, poses
 
@@ -37,6 +38,23 @@ def target_of(face, amounts, normals=None):
     return Target.from_points(
         rest + np.tensordot(amounts, model.expressions.motions, 1), normals=normals
     )
+
+
+def test_what_a_target_calls_for_does_not_depend_on_the_one_before(face):
+    plain = target_of(face, (0.5, 0.2, 0.0))
+    weights = np.where(np.arange(len(plain.weights)) % 3, plain.weights, 0.0)
+    targets = (
+        plain,
+        replace(plain, weights=weights),
+        target_of(face, (0.1, 0.9, 0.3), normals=vertex_normals(face.model.skin)[face.model.face]),
+        target_of(face, (0.0, 0.4, 0.8)),
+    )
+    kept = Recruitment.of_face(face)
+    for target in (*targets, *targets[::-1]):
+        for found, alone in zip(
+            kept.amounts(target), Recruitment.of_face(face).amounts(target), strict=True
+        ):
+            np.testing.assert_allclose(found, alone, rtol=1e-12)
 
 
 def price_of(face, found, muscle):

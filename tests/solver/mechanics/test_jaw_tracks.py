@@ -185,3 +185,11 @@ def test_a_departure_is_how_far_the_worse_condyle_is_from_its_track(tracks):
     assert departure(behind) == pytest.approx(3.0, rel=0.02)
     far = np.array([0.0, tracks.length + 2.0, tracks.length + 2.0])
     assert tracks.departure(tracks.matrix(far)) == pytest.approx(2.0, rel=0.02)
+
+
+def test_a_motion_does_not_depend_on_the_one_before():
+    points = np.array([[3.0, -60.0, 80.0]])
+    for q in (np.array([0.2, 3.0, 1.0]), np.array([0.1, 0.0, 5.0]), np.array([0.2, 3.0, 1.0])):
+        np.testing.assert_array_equal(STRAIGHT.move(points, q), replace(STRAIGHT).move(points, q))
+    longer = replace(STRAIGHT, slope=0.3)
+    assert not np.allclose(longer.move(points, q), STRAIGHT.move(points, q))

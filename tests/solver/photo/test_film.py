@@ -150,7 +150,8 @@ def test_a_zip_of_pictures_is_a_film(tmp_path: Path) -> None:
     marks = {"1": [48.0, 40.0], "33": [30.0, 20.0], "263": [66.0, 20.0], "152": [48.0, 60.0]}
     facts = json.dumps({"landmarks": marks}).encode()
     members = {f"day/{number}.png": picture for number in (10, 9)}
-    members |= {"day/9.json": facts, "read me.txt": b"", "__MACOSX/day/._9.png": b"none"}
+    members |= {"day/9.json": facts, "read me.txt": b"", "meta/info.json": b"{}"}
+    members |= {"__MACOSX/day/._9.png": b"none"}
     with opened_film(pack(tmp_path / "day.ZIP", members)) as film:
         assert isinstance(film, Pictures)
         assert film.name == "day.ZIP"
@@ -161,6 +162,7 @@ def test_a_zip_of_pictures_is_a_film(tmp_path: Path) -> None:
     cases = {
         "none": ({"notes.txt": b""}, "none.zip has no pictures"),
         "two": ({"a/1.png": picture, "b/1.png": picture}, "in one folder"),
+        "alike": ({"1.png": picture, "1.jpg": picture}, "two pictures called 1"),
         "cut": (members, "cannot be unpacked"),
     }
     for name, (held, words) in cases.items():
