@@ -63,9 +63,11 @@ def test_their_price_has_its_derivatives_by_muscles_and_jaw(face):
     np.testing.assert_allclose(
         found, differences(closers.value, pose), atol=1e-5 * np.abs(found).max()
     )
-    left, slopes = closers._linear(pose)
-    np.testing.assert_allclose(found, closers.weight * left @ slopes)
-    assert np.linalg.eigvalsh(closers.gauss_newton(pose)).min() > -1e-6
+    slopes = differences(closers.residuals, pose).T
+    bends = closers.gauss_newton(pose)
+    np.testing.assert_allclose(
+        bends, closers.weight * slopes.T @ slopes, atol=1e-5 * np.abs(bends).max()
+    )
 
 
 def test_who_opens_the_jaw_shortens_by_it(face):
