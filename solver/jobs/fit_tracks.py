@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 
 from solver.errors import Finding, make_warning
 from solver.fitting.face import Face
+from solver.fitting.least_squares import Listener
 from solver.fitting.objective import Target
 from solver.fitting.target_checks import before_fit, check_held
 from solver.jobs import Task, fits
@@ -20,7 +21,7 @@ from solver.mechanics.linear import fastest
 from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
 from solver.progress import Step, part_of
-from solver.rig import Rig, ShapeSystem, System, TetSystem
+from solver.rig import Rig, ShapeFit, ShapeSystem, System, TetSystem
 from solver.rig.report import known_information
 from solver.rig.report.systems import SYSTEMS
 from solver.rig.shape_fits import find_crossed, fit_scan
@@ -75,7 +76,7 @@ def run(task: Task[FitTracks]) -> list[Path]:
         if letter == "P":
             found = _fit_tets(model, *about)
         else:
-            found = _fit_shapes(faces[letter], SYSTEMS[letter], *about)
+            found = _fit_shapes(faces[letter], letter, *about)
         systems[letter] = systems[letter].replaced(found) if letter in systems else found
         seconds[SYSTEMS[letter]] = time.perf_counter() - begin
     options = given.model_dump(exclude={"linear_solver"})
@@ -130,25 +131,24 @@ def _with_muscles(
 
 def _fit_shapes(
     driven: ShapeFace[State],
-    name: str,
+    letter: str,
     scans: Mapping[str, RegisteredScan],
     targets: Mapping[str, Target],
     given: FitTracks,
     log: fits.WarningLog,
     span: fits.JobPart,
 ) -> ShapeSystem:
-    """Fit weights and jaw to every scan; ``name`` is that of the system."""
+    """Fit weights and jaw to every scan; ``letter`` is that of the system."""
     options = TrackFitOptions(given.w_w, given.w_j, BOUNDS[given.bounds])
     options = replace(options, stop=replace(options.stop, iterations=given.max_iterations))
-    fitted = []
-    for number, (scan_name, scan) in enumerate(scans.items()):
-        part = span.part(number, len(scans))
-        listen = log.listener(name.replace(" ", "_"), scan_name, part, given.max_iterations)
-        found = fit_scan(driven, scan_name, scan, targets[scan_name], options, listen)
-        noticed = [*found.notices, *find_crossed(driven.face.model, found)]
-        fitted.append(log.about(found, part.end, noticed))
-    fits.refuse_failures(fitted)
-    return ShapeSystem(tuple(fitted), driven.tracks.names)
+
+    def fit(name: str, scan: RegisteredScan, listen: Listener) -> ShapeFit:
+        found = fit_scan(driven, name, scan, targets[name], options, listen)
+        crossed = find_crossed(driven.face.model, found)
+        return replace(found, notices=(*found.notices, *crossed))
+
+    fitted = _fit_each(letter, scans, fit, given.max_iterations, log, span)
+    return ShapeSystem(fitted, driven.tracks.names)
 
 
 def _fit_tets(
@@ -161,13 +161,24 @@ def _fit_tets(
 ) -> TetSystem:
     """Fit activations of single tets and the jaw to every scan."""
     fitter = TetFitter(model, targets, given.linear_solver or fastest())
+    fitted = _fit_each("P", scans, fitter.fit, fitter.options.max_iterations, log, span)
+    return TetSystem(fitted, fitter.tets)
+
+
+def _fit_each(
+    letter: str,
+    scans: Mapping[str, RegisteredScan],
+    fit: Callable[[str, RegisteredScan, Listener], fits.Fit],
+    most: int,
+    log: fits.WarningLog,
+    span: fits.JobPart,
+) -> tuple[fits.Fit, ...]:
+    """Fit every scan by the controls of a system, in ``most`` iterations at most, and tell it."""
+    phase = SYSTEMS[letter].replace(" ", "_")
     fitted = []
     for number, (name, scan) in enumerate(scans.items()):
         part = span.part(number, len(scans))
-        phase = SYSTEMS["P"].replace(" ", "_")
-        found = fitter.fit(
-            name, scan, log.listener(phase, name, part, fitter.options.max_iterations)
-        )
+        found = fit(name, scan, log.listener(phase, name, part, most))
         fitted.append(log.about(found, part.end, found.notices))
     fits.refuse_failures(fitted)
-    return TetSystem(tuple(fitted), fitter.tets)
+    return tuple(fitted)

@@ -25,7 +25,7 @@ import structlog
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from solver.errors import InputError, SolveError
+from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.activation import unseen_regulariser
 from solver.fitting.markers.observation import MarkerOptions, Markers, SeenMarkers
@@ -196,7 +196,7 @@ class Checks:
             features = len(face.live.names) + order.clues
             try:
                 self._mender.load(self._file, features, len(face.live.basis))
-            except (InputError, ValueError, LookupError, OSError) as error:
+            except (ValueError, LookupError, OSError) as error:
                 log.warning("samples.unreadable", file=self._file.name, error=str(error))
 
     def known(self) -> Mend | None:
