@@ -49,6 +49,12 @@ class RoundTrip:
         """Return whether the pose was reached from rest."""
         return bool(np.isfinite(self.skin_mean_mm))
 
+    @classmethod
+    def between(cls, simulated: Floats, fitted: Floats) -> RoundTrip:
+        """Return how far the face (k, 3) lies off the fitted one, mm, where it was simulated."""
+        apart = np.linalg.norm(simulated - fitted, axis=1)
+        return cls(float(apart.mean()), float(apart.max()))
+
 
 def round_trip(
     face: Face, pose: Pose, fitted_face: Floats, options: RoundTripOptions = RoundTripOptions()
@@ -63,8 +69,7 @@ def round_trip(
     except SolveError:
         return RoundTrip()
     points = face.face_points(simulated.x)
-    apart = np.linalg.norm(points - fitted_face, axis=1)
-    there = RoundTrip(float(apart.mean()), float(apart.max()))
+    there = RoundTrip.between(points, fitted_face)
     regulariser = Regulariser(options.w_a, options.w_v, options.w_b, prior=face.rest_pose())
     data = SkinDistance(face, Target.from_points(points))
     try:

@@ -101,8 +101,7 @@ def _round_trip(face: ShapeFace[State], rest: State, found: State) -> RoundTrip:
     except (SolveError, np.linalg.LinAlgError):
         return RoundTrip()
     ids = face.face.model.face
-    apart = np.linalg.norm(face.skin(again)[ids] - face.skin(found)[ids], axis=1)
-    return RoundTrip(float(apart.mean()), float(apart.max()))
+    return RoundTrip.between(face.skin(again)[ids], face.skin(found)[ids])
 
 
 def find_crossed(

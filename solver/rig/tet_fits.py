@@ -100,8 +100,7 @@ class TetFitter:
             again = face.continuation(face.rest, Pose(found.pose.a, found.pose.b))
         except (SolveError, np.linalg.LinAlgError):
             return RoundTrip()
-        apart = np.linalg.norm(face.face_points(again.x) - face.face_points(found.x), axis=1)
-        return RoundTrip(float(apart.mean()), float(apart.max()))
+        return RoundTrip.between(face.face_points(again.x), face.face_points(found.x))
 
 
 def muscle_means(tissue: Tissue, a: Floats) -> Floats:
