@@ -8,9 +8,9 @@ compared with the muscles that anatomy texts name for their action units
     them, among those whose muscles the template has, in which on each side one of these is among
     the three that contract most; ``contradicted`` the part in which a named muscle lengthens or an
     antagonist contracts more.
-``held_out``: the same of a third of the units, by a model that lacks their shapes, of a template
-    that was trained without them. S is fitted with that model, so that nothing told of them; its
-    training scans are the same.
+``held_out``: the same of a third of the units, the first to third by ``--third``, by a model that
+    lacks their shapes, of a template that was trained without them. S is fitted with that model, so
+    that nothing told of them; its training scans are the same.
 ``strong``, ``drawn``: mixtures, the strong scans and thirty of two to five units that go together.
     ``units_contract`` is the part of their units, on each side, of which a muscle contracts,
     ``unnamed`` the part of all contraction that is in muscles which no unit of the mixture names.
@@ -64,7 +64,7 @@ class HeldOutOptions:
     """Units that a model does not know: every so many, in the order of their table."""
 
     every: int = 3
-    first: int = 1
+    first: int = 1  # how many are known before it
 
 
 def main() -> None:
@@ -76,6 +76,8 @@ def main() -> None:
         words = f"rig.npz of {of}: read if there, else S is left in it"
         parser.add_argument(option, type=Path, help=words)
     parser.add_argument("--shapes", help="ARKit's names without sides, joined by commas; else all")
+    words = "which third of the units to hold out"
+    parser.add_argument("--third", type=int, choices=(1, 2, 3), default=2, help=words)
     subjects.add_controls(parser)
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
@@ -103,6 +105,7 @@ class Person:
     def __init__(self, options: argparse.Namespace) -> None:
         self.options = options
         self.basis = subjects.shapes(options)
+        self.held_out = HeldOutOptions(first=options.third - 1)
 
     @cached_property
     def face(self) -> Face:
@@ -116,7 +119,7 @@ class Person:
 
     def _hold_out(self, model: SubjectModel) -> SubjectModel:
         """Return a model of a template that has no shape of the units, nor learned them."""
-        held = replace(without_held_out(model), trained=None)
+        held = replace(without_held_out(model, self.held_out), trained=None)
         if self.options.quick or held.expressions is None:
             return held
         template = subjects.chosen_template(self.options, subjects.EDGE_MM)
@@ -146,7 +149,7 @@ def _units(person: Person) -> Figures:
 
 def _held_out(person: Person) -> Figures:
     face = person.uninformed
-    codes = held_out_units(person.basis.expression_names, face.model.muscle_groups)
+    codes = held_out_units(person.basis.expression_names, face.model.muscle_groups, person.held_out)
     scans = {name: scan for name, scan in person.units(face).items() if has_unit(name, codes)}
     return measure(face, scans)
 
@@ -221,12 +224,14 @@ def has_unit(shape: str, codes: frozenset[str]) -> bool:
     return any(action.unit.code in codes for action in actions_of(shape))
 
 
-def without_held_out(model: SubjectModel) -> SubjectModel:
+def without_held_out(
+    model: SubjectModel, options: HeldOutOptions = HeldOutOptions()
+) -> SubjectModel:
     """Return a model whose expressions lack all that have a unit which is held out."""
     known = model.expressions
     if known is None:
         return model
-    codes = held_out_units(known.names, model.muscle_groups)
+    codes = held_out_units(known.names, model.muscle_groups, options)
     kept = [row for row, name in enumerate(known.names) if not has_unit(name, codes)]
     names = tuple(known.names[row] for row in kept)
     return replace(model, expressions=replace(known, names=names, motions=known.motions[kept]))
