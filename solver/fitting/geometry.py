@@ -172,6 +172,10 @@ def fit(
     if options.within is not None:
         face = face.driven_by(options.within)
         problem = _problem(face, data, options, options.rounds - 1, structure, recruited, known)
+        # who pulls is told by the fibres of what S has come to
+        came = face.with_weights(replace_values(face.S, now.values))
+        priors = _regularisers(came, data, options, options.w_a[1], recruited, known)
+        problem = replace(problem, regularisers=priors)
         now, taken = _tighten(problem, now, options, listen)
         steps += taken
     found = face.with_weights(replace_values(face.S, now.values))
@@ -251,7 +255,8 @@ def _regularisers(
         expected = plain
         table = known.get(name, NOTHING)
         if name in recruited:
-            expected = recruited[name].without(muscles.numbers(table)).regularise(plain)
+            own = recruited[name].on(face)
+            expected = own.without(muscles.numbers(table)).regularise(plain)
         found[name] = muscles.regularise(table, expected)
     return found
 

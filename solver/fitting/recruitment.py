@@ -32,9 +32,11 @@ fibres (:class:`~solver.fitting.drives.ContractionMap`) a muscle also pays
 A scan that is alike on both sides is made alike by both: with muscle j' on the other side of j, and
 M a_j' for its activation in the mirror,
 
-    w_a/2 even r v sum_jj' |a_j - M a_j'|^2,    v = 1 - sum_e |u_e - u_e'| / sum_e u_e,
+    w_a/2 even r v sum_jj' (|a_j - M a_j'|^2 + (k_j - k_j')^2),
+    v = 1 - sum_e |u_e - u_e'| / sum_e u_e,
 
-e' being the same expression of the other side, and v 0 at least.
+e' being the same expression of the other side, and v 0 at least. A mesh is not its own mirror
+image, and neither are fibres in it, so that like activations alone are no like contractions.
 
 What closes the jaw is silent while it is open, whatever a scan calls for
 (:mod:`solver.fitting.jaw_closers`).
@@ -72,7 +74,7 @@ class RecruitmentOptions:
     price: float = 30.0  # by which w_a is greater than where nothing is known
     opposed: float = 10.0  # by which that of a muscle is greater that works against one called for
     called: float = 0.25  # amount of an expression from which its muscles are called for wholly
-    even: float = 20.0  # by which what both sides do otherwise costs more than w_a
+    even: float = 200.0  # by which what both sides do otherwise costs more than w_a
     effort: float = 0.0  # slope of the price of contraction that nobody calls for, by w_a
     small: float = 0.02  # contraction below which that price is quadratic
     # cosine to what expressions leave, from which a unit that none of them shows takes part
@@ -98,9 +100,8 @@ class Recruitment:
 
     ``motions`` (e, k, 3) are those of the face's points, mm, off ``rest`` (k, 3). ``named`` (e, m)
     tells whether a unit of an expression names a muscle, on its side, and ``opposed`` (e, m)
-    whether it is an antagonist of one. ``tensors`` (m, 3, 3) are the means of d d^T
-    along the muscles' fibres d, NaN where there are none. ``mirrored`` (e,) are the numbers of the
-    same expressions on the other side, their own in the middle and -1 where there is none.
+    whether it is an antagonist of one. ``mirrored`` (e,) are the numbers of the same expressions
+    on the other side, their own in the middle and -1 where there is none.
     ``shown`` (e,) tells which are expressions: amounts of the others, predicted ones, cost
     ``options.hurdle`` by the sizes of motions.
     """
@@ -109,12 +110,9 @@ class Recruitment:
     named: NDArray[np.bool_]
     opposed: NDArray[np.bool_]
     rest: Floats
-    tensors: Floats
     mirrored: Ints
     shown: NDArray[np.bool_]
-    sides: EvenSides
-    effort: Effort
-    closers: SilentClosers
+    priors: FibrePriors
     options: RecruitmentOptions = RecruitmentOptions()
     _last: list[_SeenMotions] = field(init=False, default_factory=list)  # as the last target did
 
@@ -139,14 +137,10 @@ class Recruitment:
         named, opposed = np.array(
             [find_called(model.muscle_names, name) for name in names]
         ).swapaxes(0, 1)
-        tensors = fibre_tensors(model, face.flesh.volumes, face.S)
         rest = model.skin.vertices[model.face]
+        priors = FibrePriors.of_face(face, chosen)
         mirrored = _mirror_numbers(names)
-        sides = EvenSides.of_face(face)
-        effort = Effort.of_face(face, chosen.small)
-        closers = SilentClosers.of_face(face, chosen.closers)
-        expected = named, opposed, rest, tensors, mirrored, shown, sides, effort, closers
-        return cls(motions, *expected, chosen)
+        return cls(motions, named, opposed, rest, mirrored, shown, priors, chosen)
 
     def of_target(self, target: Target) -> Recruited:
         """Return what a target calls for."""
@@ -156,19 +150,9 @@ class Recruitment:
         price = options.price * options.opposed ** (against * (1.0 - called))
         strengths = np.minimum(amounts, 1.0)[:, None]
         contraction = options.contraction * (strengths * self.named).max(axis=0)
-        mean = np.tile(IDENTITY, (len(price), 1))
-        fibred, shortened = self._shortened
-        pulls = contraction[fibred] > 0.0  # the others rest, to the last digit
-        mean[fibred[pulls]] = shortened(1.0 - contraction[fibred])[pulls]
-        sides = replace(self.sides, weight=options.even * explained * self.evenness(amounts))
-        effort = replace(self.effort, weights=options.effort * explained * (1.0 - called))
-        return Recruited((price**explained)[:, None], mean, sides, effort, self.closers)
-
-    @cached_property
-    def _shortened(self) -> tuple[Ints, IsochoricActivations]:
-        """Numbers (k,) of the muscles with fibres, and their activations by their length."""
-        fibred = np.flatnonzero(np.isfinite(self.tensors[:, 0, 0]))
-        return fibred, IsochoricActivations.of(self.tensors[fibred])
+        even = options.even * explained * self.evenness(amounts)
+        effort = options.effort * explained * (1.0 - called)
+        return Recruited((price**explained)[:, None], contraction, even, effort, self.priors)
 
     def evenness(self, amounts: Floats) -> float:
         """Return how alike both sides of expressions by their ``amounts`` (e,) are, from 0 to 1."""
@@ -260,32 +244,78 @@ class Recruited:
     """What is expected of m muscles in one expression."""
 
     price: Floats  # (m, 1) by which w_a is greater
-    mean: Floats  # (m, 6) of their activations
-    sides: EvenSides  # its weight by w_a
-    effort: Effort  # its weights by w_a
-    closers: SilentClosers  # its weight by w_a
+    contraction: Floats  # (m,) by which their fibres shorten
+    even: float  # weight of what both sides do otherwise, by w_a
+    effort: Floats  # (m,) weights of their contractions, by w_a
+    priors: FibrePriors
+
+    def on(self, face: Face) -> Recruited:
+        """Return the same of the muscles of ``face``, which has another S."""
+        return replace(self, priors=self.priors.on(face))
 
     def without(self, muscles: Ints) -> Recruited:
         """Return what is expected if nothing is of ``muscles`` (k,), as a table knows of them."""
         price = self.price.copy()
-        mean = self.mean.copy()
-        weights = self.effort.weights.copy()
+        contraction = self.contraction.copy()
+        effort = self.effort.copy()
         price[muscles] = 1.0
-        mean[muscles] = IDENTITY
-        weights[muscles] = 0.0
-        effort = replace(self.effort, weights=weights)
-        closers = self.closers.without(muscles)
-        return replace(self, price=price, mean=mean, effort=effort, closers=closers)
+        contraction[muscles] = 0.0
+        effort[muscles] = 0.0
+        closers = self.priors.closers.without(muscles)
+        priors = replace(self.priors, closers=closers)
+        return replace(self, price=price, contraction=contraction, effort=effort, priors=priors)
 
     def regularise(self, plain: Regulariser) -> Regulariser:
         """Return a regulariser that expects this of muscles, from one that expects them at rest."""
-        prior = replace(plain.prior, a=self.mean)
+        priors = self.priors
+        prior = replace(plain.prior, a=priors.shortened(self.contraction))
         unit = float(np.min(plain.w_a))
-        sides = replace(self.sides, weight=unit * self.sides.weight)
-        effort = replace(self.effort, weights=unit * self.effort.weights)
-        closers = replace(self.closers, weight=unit * self.closers.weight)
+        sides = replace(priors.sides, weight=unit * self.even)
+        effort = replace(priors.effort, weights=unit * self.effort)
+        closers = replace(priors.closers, weight=unit * priors.closers.weight)
         others = (*plain.others, sides, effort, closers)
         return replace(plain, w_a=plain.w_a * self.price, prior=prior, others=others)
+
+
+@dataclass(frozen=True, eq=False)
+class FibrePriors:
+    """Priors that go by the fibres which S gives the muscles of a face.
+
+    ``fibred`` (k,) are the muscles that have any, ``isochoric`` their activations by the stretch.
+    """
+
+    fibred: Ints
+    isochoric: IsochoricActivations
+    sides: EvenSides
+    effort: Effort
+    closers: SilentClosers  # its weight by w_a
+
+    @classmethod
+    def of_face(cls, face: Face, options: RecruitmentOptions) -> FibrePriors:
+        """Return those of a face's muscles, which are at rest and cost nothing yet."""
+        tensors = fibre_tensors(face.model, face.flesh.volumes, face.S)
+        fibred = np.flatnonzero(np.isfinite(tensors[:, 0, 0]))
+        effort = Effort.of_face(face, options.small)
+        closers = SilentClosers.of_face(face, options.closers)
+        isochoric = IsochoricActivations.of(tensors[fibred])
+        return cls(fibred, isochoric, EvenSides.of_face(face), effort, closers)
+
+    def on(self, face: Face) -> FibrePriors:
+        """Return those of another face, by the same options."""
+        options = RecruitmentOptions(small=self.effort.small, closers=self.closers.options)
+        return FibrePriors.of_face(face, options)
+
+    def shortened(self, contraction: Floats) -> Floats:
+        """Return the activations (m, 6) of muscles whose fibres have shortened, their volume kept.
+
+        ``contraction`` (m,) is the part that they lost: where it is 0 muscles rest, to the last
+        digit.
+        """
+        out = np.tile(IDENTITY, (len(contraction), 1))
+        own = contraction[self.fibred]
+        pulls = own > 0.0
+        out[self.fibred[pulls]] = self.isochoric(1.0 - own)[pulls]
+        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,42 +370,49 @@ MIRROR = np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class EvenSides(SquaredPrior):
-    """The price of what both sides do otherwise: weight/2 sum |a_j - M a_j'|^2 of the pairs j, j'.
+    """The price of what both sides do otherwise: weight/2 sum |R_p (a_j, a_j')|^2 of the pairs p.
 
-    ``left`` and ``right`` (r,) are the places of a_j and a_j' among the controls, ``signs`` (r,) M.
+    ``places`` (p, 12) are those of a_j and a_j' among the controls, ``rows`` (p, 7, 12) the
+    differences R_p of their entries, mirrored, and of their contractions.
     """
 
-    left: Ints
-    right: Ints
-    signs: Floats
+    places: Ints
+    rows: Floats
     weight: float = 1.0
 
     @classmethod
     def of_face(cls, face: Face) -> EvenSides:
         """Return those of the muscles that have one of their name on the other side."""
         pairs = mirrored_pairs(face.model.muscle_names)
-        left, right = (face.layout.muscles[side].ravel() for side in pairs.T)
-        return cls(left, right, np.tile(MIRROR, len(pairs)))
+        places = face.layout.muscles[pairs].reshape(len(pairs), -1)
+        rows = np.zeros((len(pairs), 7, 12))
+        rows[:, :6] = np.hstack([np.eye(6), -np.diag(MIRROR)])
+        if face.contractions is not None:
+            left, right = np.nan_to_num(face.contractions.rates)[pairs.T]
+            rows[:, 6] = np.hstack([left, -right])
+        return cls(places, rows)
 
     @override
     def gradient(self, pose: Pose) -> Floats:
         out = np.zeros(pose.layout.size)
-        pull = self.weight * self.residuals(pose)
-        out[self.left] = pull
-        out[self.right] = -self.signs * pull
+        residuals = self.residuals(pose).reshape(len(self.rows), -1)
+        out[self.places] = self.weight * np.einsum("prk,pr->pk", self.rows, residuals)
         return out
 
     @override
     def add_gauss_newton(self, pose: Pose, out: Floats) -> None:
-        for side in (self.left, self.right):
-            out[side, side] += self.weight
-        out[self.left, self.right] -= self.weight * self.signs
-        out[self.right, self.left] -= self.weight * self.signs
+        places = self.places
+        out[places[:, :, None], places[:, None, :]] += self.weight * self._squares
 
     @override
     def residuals(self, pose: Pose) -> Floats:
-        q = pose.vector()
-        return np.asarray(q[self.left] - self.signs * q[self.right])
+        # at rest both sides are alike, and so the controls themselves will do
+        return np.asarray(np.einsum("prk,pk->pr", self.rows, pose.vector()[self.places]).ravel())
+
+    @cached_property
+    def _squares(self) -> Floats:
+        """R_p^T R_p of every pair (p, 12, 12)."""
+        return np.asarray(self.rows.transpose(0, 2, 1) @ self.rows)
 
 
 def _least_amounts(root: Floats, slopes: Floats) -> Floats:

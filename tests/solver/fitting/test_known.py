@@ -13,11 +13,10 @@ from solver.fitting.contraction import Contraction
 from solver.fitting.drives.admissible import Admissible
 from solver.fitting.drives.fibre_contraction import FibreContraction
 from solver.fitting.face import Face
-from solver.fitting.jaw_closers import SilentClosers
 from solver.fitting.known import FaceMuscles, KnownFit, compare_frames, find_disagreements
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.per_tet.tissue import of_face
-from solver.fitting.recruitment import Effort, EvenSides, Recruited
+from solver.fitting.recruitment import FibrePriors, Recruited, RecruitmentOptions
 from solver.fitting.simplex import mix_by_stiffness
 from solver.fitting.stretches import isochoric_activation
 from solver.scans.known_activations import KnownMuscles
@@ -75,17 +74,16 @@ def test_a_whole_muscle_contracts_by_the_mean_over_its_compartments(face):
 
 
 def test_what_is_known_takes_the_place_of_what_is_expected(face):
-    rest = face.rest_pose().a
-    effort = Effort.of_face(face, 0.02)
-    others = EvenSides.of_face(face), effort, SilentClosers.of_face(face)
-    expected = Recruited(np.full((4, 1), 30.0), rest + 0.1, *others)
+    priors = FibrePriors.of_face(face, RecruitmentOptions())
+    expected = Recruited(np.full((4, 1), 30.0), np.full(4, 0.1), 20.0, np.ones(4), priors)
     plain = Regulariser(1e-3, 1e-2, 1e-6, face.rest_pose())
     muscles = FaceMuscles.of(face)
     np.testing.assert_array_equal(muscles.numbers(KNOWN), [0, 1, 3])
     recruited = expected.without(muscles.numbers(KNOWN)).regularise(plain)
     found = muscles.regularise(KNOWN, recruited)
     np.testing.assert_allclose(found.w_a[:, 0], [1e-3, 1e-3, 0.03, 1e-3])
-    np.testing.assert_allclose(found.prior.a[2], rest[2] + 0.1)
+    assert Contraction.of_face(face)(found.prior.a)[2] == pytest.approx(0.1, rel=0.2)
+    np.testing.assert_array_equal(expected.without(np.arange(3)).contraction, [0, 0, 0, 0.1])
     values = muscles.contractions(KNOWN, found.prior.a)
     np.testing.assert_allclose(values, KNOWN.values)
     assert found.others[-1].value(replace(face.rest_pose(), a=found.prior.a)) == pytest.approx(0.0)

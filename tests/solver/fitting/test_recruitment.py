@@ -12,6 +12,7 @@ from solver.fitting.drives.fibre_contraction import FibreContraction
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.recruitment import Effort, EvenSides, Recruitment, RecruitmentOptions, recruit
+from solver.fitting.simplex import replace_values
 from solver.fitting.stretches import determinants, fibre_tensors, isochoric_activation
 from solver.model import Expressions
 from solver.surface import vertex_normals
@@ -62,8 +63,13 @@ def price_of(face, found, muscle):
     return price
 
 
+def expected(found):
+    """Return the activations that are expected of muscles."""
+    return found.priors.shortened(found.contraction)
+
+
 def contraction_of(face, found, muscle):
-    contraction = Contraction.of_face(face)(found.mean)
+    contraction = Contraction.of_face(face)(expected(found))
     return contraction[face.model.muscle_numbers(muscle)].mean()
 
 
@@ -87,7 +93,7 @@ def test_muscles_that_are_named_contract_and_antagonists_pay_most(face):
     assert found.price.shape == (face.model.muscle_count, 1)
     assert contraction_of(face, found, "zygomaticus_major_l") == pytest.approx(0.3, abs=0.05)
     assert contraction_of(face, found, "zygomaticus_major_r") == pytest.approx(0.0, abs=1e-9)
-    np.testing.assert_allclose(determinants(found.mean), 1.0)
+    np.testing.assert_allclose(determinants(expected(found)), 1.0)
     assert price_of(face, found, "zygomaticus_major_l") == pytest.approx(50.0, rel=1e-3)
     assert price_of(face, found, "zygomaticus_major_r") == pytest.approx(50.0, rel=1e-3)
     # against the smile on its own side, and against an open jaw on both
@@ -111,7 +117,7 @@ def test_what_no_expression_explains_anybody_may_make(face):
     assert recruitment.of_target(across).price.max() < 0.1 * recruitment.options.price
     still = recruitment.of_target(Target.from_points(rest))
     assert still.price.max() == 1.0
-    np.testing.assert_array_equal(still.mean, face.rest_pose().a)
+    np.testing.assert_array_equal(expected(still), face.rest_pose().a)
 
 
 def test_nothing_is_known_without_expressions_and_of_muscles_without_shapes(face):
@@ -167,7 +173,7 @@ def test_derivatives_of_priced_muscles():
 
 
 def test_what_both_sides_do_otherwise_has_its_price(face):
-    """None where they mirror each other; the derivatives are those of the value."""
+    """That of what is no mirror image, and of contractions; derivatives are the value's."""
     sides = EvenSides.of_face(face)
     rng = np.random.default_rng(3)
     pose = face.rest_pose().add(0.1 * rng.standard_normal(face.layout.size))
@@ -182,14 +188,20 @@ def test_what_both_sides_do_otherwise_has_its_price(face):
     a = face.rest_pose().a
     a[one] = [1.1, 0.1, 0.2, 0.9, 0.3, 1.0]
     a[other] = [1.1, -0.1, -0.2, 0.9, 0.3, 1.0]
-    assert sides.value(replace(pose, a=a)) == pytest.approx(0.0)
-    a[other, 1] = 0.1
-    assert sides.value(replace(pose, a=a)) == pytest.approx(0.5 * 0.2**2)
+    contractions = Contraction.of_face(face)(a)
+    uneven = 0.5 * (contractions[one] - contractions[other]) ** 2
+    assert uneven > 1e-5  # the fibres of a mesh do not mirror each other
+    assert sides.value(replace(pose, a=a)) == pytest.approx(uneven)
+    sheared = a.copy()
+    sheared[other, 1] = 0.1
+    uneven = 0.5 * np.diff(Contraction.of_face(face)(sheared)[[one, other]]).item() ** 2
+    price = sides.value(replace(pose, a=sheared))
+    assert price == pytest.approx(uneven + 0.5 * 0.2**2)
 
 
 def test_only_a_scan_that_is_alike_on_both_sides_asks_for_the_same_of_both(face):
     recruitment = Recruitment.of_face(face)
-    weights = [recruitment.of_target(target_of(face, of)).sides.weight for of in np.eye(3)]
+    weights = [recruitment.of_target(target_of(face, of)).even for of in np.eye(3)]
     assert weights[0] == pytest.approx(0.0, abs=1e-6)  # the smile of the left alone
     assert weights[1:] == pytest.approx(2 * [RecruitmentOptions.even], rel=1e-3)
 
@@ -222,10 +234,10 @@ def test_effort_is_asked_of_those_alone_that_nobody_calls_for_or_knows(face):
     recruitment = Recruitment.of_face(face, RecruitmentOptions(effort=7.0))
     found = recruitment.of_target(target_of(face, [1.0, 0.0, 0.0]))
     named, other = (face.model.muscle_numbers(f"zygomaticus_major_{side}") for side in "lr")
-    np.testing.assert_allclose(found.effort.weights[named], 0.0)
-    np.testing.assert_allclose(found.effort.weights[other], 7.0, rtol=1e-3)
+    np.testing.assert_allclose(found.effort[named], 0.0)
+    np.testing.assert_allclose(found.effort[other], 7.0, rtol=1e-3)
     spared = found.without(np.concatenate([named, other]))
-    np.testing.assert_allclose(spared.effort.weights[other], 0.0)
+    np.testing.assert_allclose(spared.effort[other], 0.0)
     np.testing.assert_allclose(spared.price[named], 1.0)
     assert contraction_of(face, spared, "zygomaticus_major_l") == pytest.approx(0.0, abs=1e-12)
 
@@ -249,3 +261,22 @@ def test_with_effort_fewer_muscles_make_the_same():
     before = others()
     assert before > 0.05
     assert others(effort) < 0.2 * before
+
+
+def test_what_is_expected_goes_by_the_fibres_of_the_newest_S(face):
+    """S that fills a muscle otherwise changes the mean of its fibres."""
+    found = Recruitment.of_face(face).of_target(target_of(face, [1.0, 0.0, 0.0]))
+    S = face.S.toarray()
+    S[:, 1:] *= np.random.default_rng(9).uniform(0.1, 1.0, (len(S), 1))
+    S[:, 0] = 1.0 - S[:, 1:].sum(axis=1)
+    rows = np.repeat(np.arange(len(S)), np.diff(face.S.indptr))
+    other = face.with_weights(replace_values(face.S, S[rows, face.S.indices]))
+    assert np.abs(other.contractions.rates - face.contractions.rates).max() > 1e-2
+    moved = found.on(other)
+    np.testing.assert_array_equal(moved.contraction, found.contraction)
+    pulling = found.contraction > 0.1
+    for one, at in ((found, face), (moved, other)):
+        contraction = Contraction.of_face(at)(expected(one))
+        np.testing.assert_allclose(contraction[pulling], found.contraction[pulling], rtol=0.3)
+    assert np.abs(expected(moved) - expected(found))[pulling].max() > 1e-4
+    np.testing.assert_array_equal(moved.priors.effort.rates, Effort.of_face(other, 0.02).rates)
