@@ -29,14 +29,16 @@ fibres (:class:`~solver.fitting.drives.ContractionMap`) a muscle also pays
 
     w_a effort r (1 - c_j) (sqrt(k_j^2 + small^2) - small).
 
-A scan that is alike on both sides is made alike by both: with muscle j' on the other side of j, and
-M a_j' for its activation in the mirror,
+What a scan shows alike on both sides is made alike by both: with muscle j' on the other side of j,
+and M a_j' for its activation in the mirror,
 
-    w_a/2 even r v sum_jj' (|a_j - M a_j'|^2 + (k_j - k_j')^2),
-    v = 1 - sum_e |u_e - u_e'| / sum_e u_e,
+    w_a/2 even r sum_jj' v_jj' (|a_j - M a_j'|^2 + (k_j - k_j')^2),
+    v_jj' = 1 - |u_j - u_j'| / max(u_j, u_j').
 
-e' being the same expression of the other side, and v 0 at least. A mesh is not its own mirror
-image, and neither are fibres in it, so that like activations alone are no like contractions.
+As far as nothing calls for either, 1 - max(c_j, c_j'), it is how alike both sides are as a whole,
+1 - sum_e |u_e - u_e'| / sum_e u_e, 0 at least, e' being the same expression of the other side. A
+mesh is not its own mirror image, and neither are fibres in it, so that like activations alone are
+no like contractions.
 
 What closes the jaw is silent while it is open, whatever a scan calls for
 (:mod:`solver.fitting.jaw_closers`).
@@ -57,13 +59,16 @@ from typing_extensions import override
 from solver.anatomy.action_units import find_called
 from solver.fitting.face import Face, Pose
 from solver.fitting.jaw_closers import CloserOptions, SilentClosers
-from solver.fitting.objective import Prior, Regulariser, SquaredPrior, Target
+from solver.fitting.objective import Prior, Regulariser, Target
 from solver.fitting.predicted_units import predict_units
 from solver.fitting.simplex import mirrored_pairs
 from solver.fitting.stretches import IsochoricActivations, fibre_tensors
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
+
+
+TINY = 1e-12  # an amount of an expression to divide by in place of none
 
 
 @dataclass(frozen=True)
@@ -148,19 +153,25 @@ class Recruitment:
         shares = np.minimum(amounts / options.called, 1.0)[:, None]
         called, against = ((shares * each).max(axis=0) for each in (self.named, self.opposed))
         price = options.price * options.opposed ** (against * (1.0 - called))
-        strengths = np.minimum(amounts, 1.0)[:, None]
-        contraction = options.contraction * (strengths * self.named).max(axis=0)
-        even = options.even * explained * self.evenness(amounts)
+        strengths = (np.minimum(amounts, 1.0)[:, None] * self.named).max(axis=0)
+        contraction = options.contraction * strengths
+        even = options.even * explained * self._evenness(amounts, strengths, called)
         effort = options.effort * explained * (1.0 - called)
         return Recruited((price**explained)[:, None], contraction, even, effort, self.priors)
 
-    def evenness(self, amounts: Floats) -> float:
-        """Return how alike both sides of expressions by their ``amounts`` (e,) are, from 0 to 1."""
-        whole = float(amounts.sum())
-        if whole == 0.0:
-            return 1.0
+    def _evenness(self, amounts: Floats, strengths: Floats, called: Floats) -> Floats:
+        """Return how alike the muscles of each pair (p,) are called for, from 0 to 1.
+
+        ``amounts`` (e,) are those of the expressions, ``strengths`` (m,) what they call each muscle
+        for, and ``called`` (m,) whether they do, from 0 to 1.
+        """
         other = np.append(amounts, 0.0)[self.mirrored]
-        return max(1.0 - float(np.abs(amounts - other).sum()) / whole, 0.0)
+        whole = max(1.0 - np.abs(amounts - other).sum() / max(amounts.sum(), TINY), 0.0)
+        left, right = self.priors.sides.pairs.T
+        most = np.maximum(strengths[left], strengths[right])
+        own = 1.0 - np.abs(strengths[left] - strengths[right]) / np.maximum(most, TINY)
+        either = np.maximum(called[left], called[right])
+        return either * own + (1.0 - either) * whole
 
     def amounts(self, target: Target) -> tuple[Floats, float]:
         """Return the amounts (e,) of the expressions whose sum is nearest to a target.
@@ -245,7 +256,7 @@ class Recruited:
 
     price: Floats  # (m, 1) by which w_a is greater
     contraction: Floats  # (m,) by which their fibres shorten
-    even: float  # weight of what both sides do otherwise, by w_a
+    even: Floats  # (p,) weights of what both muscles of a pair do otherwise, by w_a
     effort: Floats  # (m,) weights of their contractions, by w_a
     priors: FibrePriors
 
@@ -270,7 +281,7 @@ class Recruited:
         priors = self.priors
         prior = replace(plain.prior, a=priors.shortened(self.contraction))
         unit = float(np.min(plain.w_a))
-        sides = replace(priors.sides, weight=unit * self.even)
+        sides = replace(priors.sides, weights=unit * self.even)
         effort = replace(priors.effort, weights=unit * self.effort)
         closers = replace(priors.closers, weight=unit * priors.closers.weight)
         others = (*plain.others, sides, effort, closers)
@@ -369,20 +380,22 @@ MIRROR = np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
-class EvenSides(SquaredPrior):
-    """The price of what both sides do otherwise: weight/2 sum |R_p (a_j, a_j')|^2 of the pairs p.
+class EvenSides(Prior):
+    """The price of what both sides do otherwise: sum_p weights_p/2 |R_p (a_j, a_j')|^2 of pairs p.
 
-    ``places`` (p, 12) are those of a_j and a_j' among the controls, ``rows`` (p, 7, 12) the
-    differences R_p of their entries, mirrored, and of their contractions.
+    ``pairs`` (p, 2) are the numbers j, j' of their muscles, ``places`` (p, 12) those of a_j and
+    a_j' among the controls. ``rows`` R (p, 7, 12) are the differences of their entries, mirrored,
+    and of their contractions.
     """
 
+    pairs: Ints
     places: Ints
     rows: Floats
-    weight: float = 1.0
+    weights: Floats  # (p,)
 
     @classmethod
     def of_face(cls, face: Face) -> EvenSides:
-        """Return those of the muscles that have one of their name on the other side."""
+        """Return those of muscles that have one of their name on the other side, of weight 1."""
         pairs = mirrored_pairs(face.model.muscle_names)
         places = face.layout.muscles[pairs].reshape(len(pairs), -1)
         rows = np.zeros((len(pairs), 7, 12))
@@ -390,24 +403,28 @@ class EvenSides(SquaredPrior):
         if face.contractions is not None:
             left, right = np.nan_to_num(face.contractions.rates)[pairs.T]
             rows[:, 6] = np.hstack([left, -right])
-        return cls(places, rows)
+        return cls(pairs, places, rows, np.ones(len(pairs)))
+
+    @override
+    def value(self, pose: Pose) -> float:
+        return float(0.5 * self.weights @ (self._differences(pose) ** 2).sum(axis=1))
 
     @override
     def gradient(self, pose: Pose) -> Floats:
         out = np.zeros(pose.layout.size)
-        residuals = self.residuals(pose).reshape(len(self.rows), -1)
-        out[self.places] = self.weight * np.einsum("prk,pr->pk", self.rows, residuals)
+        pull = np.einsum("prk,pr->pk", self.rows, self._differences(pose))
+        out[self.places] = self.weights[:, None] * pull
         return out
 
     @override
     def add_gauss_newton(self, pose: Pose, out: Floats) -> None:
         places = self.places
-        out[places[:, :, None], places[:, None, :]] += self.weight * self._squares
+        out[places[:, :, None], places[:, None, :]] += self.weights[:, None, None] * self._squares
 
-    @override
-    def residuals(self, pose: Pose) -> Floats:
+    def _differences(self, pose: Pose) -> Floats:
+        """Return R_p (a_j, a_j') of every pair (p, 7)."""
         # at rest both sides are alike, and so the controls themselves will do
-        return np.asarray(np.einsum("prk,pk->pr", self.rows, pose.vector()[self.places]).ravel())
+        return np.asarray(np.einsum("prk,pk->pr", self.rows, pose.vector()[self.places]))
 
     @cached_property
     def _squares(self) -> Floats:

@@ -75,7 +75,9 @@ def test_a_whole_muscle_contracts_by_the_mean_over_its_compartments(face):
 
 def test_what_is_known_takes_the_place_of_what_is_expected(face):
     priors = FibrePriors.of_face(face, RecruitmentOptions())
-    expected = Recruited(np.full((4, 1), 30.0), np.full(4, 0.1), 20.0, np.ones(4), priors)
+    expected = Recruited(
+        np.full((4, 1), 30.0), np.full(4, 0.1), np.full(2, 20.0), np.ones(4), priors
+    )
     plain = Regulariser(1e-3, 1e-2, 1e-6, face.rest_pose())
     muscles = FaceMuscles.of(face)
     np.testing.assert_array_equal(muscles.numbers(KNOWN), [0, 1, 3])

@@ -199,11 +199,22 @@ def test_what_both_sides_do_otherwise_has_its_price(face):
     assert price == pytest.approx(uneven + 0.5 * 0.2**2)
 
 
-def test_only_a_scan_that_is_alike_on_both_sides_asks_for_the_same_of_both(face):
+def test_only_muscles_that_are_called_for_alike_are_to_pull_alike(face):
     recruitment = Recruitment.of_face(face)
-    weights = [recruitment.of_target(target_of(face, of)).even for of in np.eye(3)]
-    assert weights[0] == pytest.approx(0.0, abs=1e-6)  # the smile of the left alone
-    assert weights[1:] == pytest.approx(2 * [RecruitmentOptions.even], rel=1e-3)
+    full = RecruitmentOptions.even
+    smile, *even = [recruitment.of_target(target_of(face, of)).even for of in np.eye(3)]
+    np.testing.assert_allclose(smile, 0.0, atol=1e-6)  # of the left alone
+    np.testing.assert_allclose(even, full, rtol=1e-3)
+    # those of the brows are, whatever the smile does; what nothing calls for by the whole
+    both = recruitment.of_target(target_of(face, [1.0, 1.0, 0.0]))
+    pairs = recruitment.priors.sides.pairs
+    called = both.contraction[pairs].max(axis=1) > 0.01
+    uneven = both.contraction[pairs].min(axis=1) < 0.01
+    for some in (called & uneven, called & ~uneven, ~called):
+        assert some.any()
+    np.testing.assert_allclose(both.even[called & uneven], 0.0, atol=1e-3)
+    np.testing.assert_allclose(both.even[called & ~uneven], full, rtol=1e-3)
+    np.testing.assert_allclose(both.even[~called], full / 2.0, rtol=1e-3)
 
 
 def test_effort_is_linear_in_contractions_and_its_parabola_is_above_it(face):
