@@ -67,7 +67,6 @@ from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 
-
 TINY = 1e-12  # an amount of an expression to divide by in place of none
 
 
@@ -171,7 +170,7 @@ class Recruitment:
         most = np.maximum(strengths[left], strengths[right])
         own = 1.0 - np.abs(strengths[left] - strengths[right]) / np.maximum(most, TINY)
         either = np.maximum(called[left], called[right])
-        return either * own + (1.0 - either) * whole
+        return np.asarray(either * own + (1.0 - either) * whole)
 
     def amounts(self, target: Target) -> tuple[Floats, float]:
         """Return the amounts (e,) of the expressions whose sum is nearest to a target.
