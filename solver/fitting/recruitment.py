@@ -35,10 +35,10 @@ and M a_j' for its activation in the mirror,
     w_a/2 even r sum_jj' v_jj' (|a_j - M a_j'|^2 + (k_j - k_j')^2),
     v_jj' = 1 - |u_j - u_j'| / max(u_j, u_j').
 
-As far as nothing calls for either, 1 - max(c_j, c_j'), it is how alike both sides are as a whole,
-1 - sum_e |u_e - u_e'| / sum_e u_e, 0 at least, e' being the same expression of the other side. A
-mesh is not its own mirror image, and neither are fibres in it, so that like activations alone are
-no like contractions.
+As far as nothing calls for either, 1 - max(c_j, c_j'), it goes by how alike both sides are as a
+whole: 1 - sum_e |u_e - u_e'| / sum_e u_e, 0 at least, to the power ``strict``, e' being the same
+expression of the other side. A mesh is not its own mirror image, and neither are fibres in it, so
+that like activations alone are no like contractions.
 
 What closes the jaw is silent while it is open, whatever a scan calls for
 (:mod:`solver.fitting.jaw_closers`).
@@ -79,6 +79,7 @@ class RecruitmentOptions:
     opposed: float = 10.0  # by which that of a muscle is greater that works against one called for
     called: float = 0.25  # amount of an expression from which its muscles are called for wholly
     even: float = 400.0  # by which what both sides do otherwise costs more than w_a
+    strict: float = 8.0  # power of how alike sides are, for muscles that nothing calls for
     effort: float = 0.0  # slope of the price of contraction that nobody calls for, by w_a
     small: float = 0.02  # contraction below which that price is quadratic
     # cosine to what expressions leave, from which a unit that none of them shows takes part
@@ -170,7 +171,7 @@ class Recruitment:
         most = np.maximum(strengths[left], strengths[right])
         own = 1.0 - np.abs(strengths[left] - strengths[right]) / np.maximum(most, TINY)
         either = np.maximum(called[left], called[right])
-        return np.asarray(either * own + (1.0 - either) * whole)
+        return np.asarray(either * own + (1.0 - either) * whole**self.options.strict)
 
     def amounts(self, target: Target) -> tuple[Floats, float]:
         """Return the amounts (e,) of the expressions whose sum is nearest to a target.

@@ -214,7 +214,7 @@ def test_only_muscles_that_are_called_for_alike_are_to_pull_alike(face):
         assert some.any()
     np.testing.assert_allclose(both.even[called & uneven], 0.0, atol=1e-3)
     np.testing.assert_allclose(both.even[called & ~uneven], full, rtol=1e-3)
-    np.testing.assert_allclose(both.even[~called], full / 2.0, rtol=1e-3)
+    np.testing.assert_allclose(both.even[~called], full * 0.5**RecruitmentOptions.strict, rtol=1e-3)
 
 
 def test_effort_is_linear_in_contractions_and_its_parabola_is_above_it(face):
