@@ -222,10 +222,13 @@ def linearised_step(
     finite.
     """
     try:
-        root = scipy.linalg.cholesky(hessian, lower=True)
-        free = -scipy.linalg.cho_solve((root, True), gradient)
-    except (np.linalg.LinAlgError, ValueError) as error:
+        # in the order that LAPACK has, which spares a transposed copy
+        root = scipy.linalg.cholesky(hessian.T, lower=True, check_finite=False)
+    except np.linalg.LinAlgError as error:
         raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
+    free = -scipy.linalg.cho_solve((root, True), gradient, check_finite=False)
+    if not np.isfinite(free).all():
+        raise SolveError("solve.not_finite", "no Gauss-Newton step: it is not finite")
     begin = q if bounds.contains(q) else bounds.clip(q)
     entered = begin - q
     gradient = gradient + hessian @ entered
@@ -293,7 +296,10 @@ def _cut_step(
 def _multipliers(columns: Floats, broken: Floats, ridge: float) -> Floats:
     """Return the l (k,) of columns V (size, k) and how far ``broken`` (k,) each bound is."""
     root = _root_of_square(columns, ridge)
-    found, _ = nnls(root.T, _solve_triangular(root, broken))
+    right = _solve_triangular(root, broken)
+    found = _solve_triangular(root, right, trans="T")
+    if (found < 0.0).any():
+        found, _ = nnls(root.T, right)
     return np.asarray(found)
 
 
