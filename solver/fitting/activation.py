@@ -415,4 +415,5 @@ class DenseModel:
         slope = float(self.gradient @ step)
         quadratic = float(step @ image)
         response = np.zeros(0) if self.motion is None else self.motion @ step
-        return LeastSquaresStep(step, slope, quadratic, self.layout.reach(step), response, image)
+        model = step, slope, quadratic, self.layout.reach(step), response, image
+        return LeastSquaresStep(*model, following=within.following)

@@ -26,6 +26,9 @@ Point = TypeVar("Point")  # where a fit is: its variables and what follows from 
 # called after each accepted step with the iteration and the objective
 Listener = Callable[[int, float], None]
 
+# r (k,) -> B^-1 r: minus the change of a step for r more gradient, what holds it holding on
+Follow = Callable[[Floats], Floats]
+
 
 @dataclass(frozen=True)
 class DampingOptions:
@@ -60,7 +63,8 @@ class LeastSquaresStep:
 
     ``slope`` is g . s and ``curvature`` s . B s, ``reach`` its length, 1 being what a linear model
     is surely good for; ``response`` is what else is linear in it, as the flesh's motion (size,);
-    ``image`` is B s (k,), of models that :class:`SecondOrder` learns from.
+    ``image`` is B s (k,), of models that :class:`SecondOrder` learns from. ``following`` makes how
+    steps of the same matrix follow their gradients, of models that tell it.
     """
 
     change: Floats
@@ -69,6 +73,7 @@ class LeastSquaresStep:
     reach: float = 0.0
     response: Floats = field(default_factory=lambda: np.zeros(0))
     image: Floats = field(default_factory=lambda: np.zeros(0))
+    following: Callable[[], Follow] | None = None
 
     @property
     def gain(self) -> float:
@@ -112,6 +117,10 @@ class SecondOrder:
 
 class LinearModel(Protocol):
     """f around a point."""
+
+    @property
+    def gradient(self) -> Floats:
+        """Return the derivative (k,) of f."""
 
     def step(self, damping: float, trust: float) -> LeastSquaresStep:
         """Return the step that minimises the damped model, cut to a reach of ``trust``."""
@@ -171,10 +180,11 @@ def _meet_limits(
 
 
 @dataclass(frozen=True)
-class BoxModel(LinearModel):
+class BoxModel:
     """A Gauss-Newton model at q (k,) whose steps keep to bounds, and to a box around q.
 
-    The box is ``trust`` times ``reach`` (k,), the changes that a linear model is surely good for.
+    It is a :class:`LinearModel`. The box is ``trust`` times ``reach`` (k,), the changes that a
+    linear model is surely good for.
     """
 
     q: Floats
@@ -341,7 +351,11 @@ class TrustRegion:
 
 @dataclass
 class Backtracking:
-    """A search along one step, cut in half and in half again; ``damping`` is of the next one."""
+    """A search along one step, cut in half and in half again; ``damping`` is of the next one.
+
+    A step that promises too little by the matrix of the last one, what held that at a bound holding
+    on, is not made: one that is made costs far more than what tells so.
+    """
 
     rule: DampingOptions
     tries: int = 3  # of a step and its halves
@@ -349,13 +363,23 @@ class Backtracking:
 
     def __post_init__(self) -> None:
         self.damping = self.rule.start
+        self._following: Callable[[], Follow] | None = None
+
+    def forget(self) -> None:
+        """Judge no step by the matrix of the last one, as another takes its place."""
+        self._following = None
 
     def descend(
         self, problem: LeastSquaresProblem[Point], point: Point, value: float, stop: StopOptions
     ) -> Trial[Point]:
         """See :class:`StepSearch`."""
-        step = problem.linearise(point).step(self.damping, 1.0)
-        if step.gain <= stop.promised * value:
+        model = problem.linearise(point)
+        least = stop.promised * value
+        if self._following and _promise(self._following(), model.gradient) <= least:
+            return Trial(point=None, value=value, termination=Termination.CONVERGED)
+        step = model.step(self.damping, 1.0)
+        self._following = step.following
+        if step.gain <= least:
             return Trial(point=None, value=value, termination=Termination.CONVERGED)
         for _ in range(self.tries):
             moved = problem.move(point, step)
@@ -370,3 +394,8 @@ class Backtracking:
             step = step.cut(0.5)
             self.damping = self.rule.increase(self.damping)
         return Trial(point=None, value=value, termination=Termination.STUCK)
+
+
+def _promise(follow: Follow, gradient: Floats) -> float:
+    """Return what the best step of a ``gradient`` (k,) gains."""
+    return float(0.5 * gradient @ follow(gradient))

@@ -21,7 +21,6 @@ that is inside. That costs one factorisation of H, where an interior point
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any, Literal, Protocol
@@ -33,7 +32,7 @@ from typing_extensions import override
 
 from solver.errors import SolveError
 from solver.fitting.interior_point import Bounds, InteriorPointOptions, interior_step
-from solver.fitting.least_squares import bounded_step
+from solver.fitting.least_squares import Follow, bounded_step
 from solver.surface import Floats, Ints
 
 
@@ -63,9 +62,6 @@ class FeasibleStepOptions:
         return cls(interior=InteriorPointOptions(fall=0.03, short=1e-2))
 
 
-Follow = Callable[[Floats], Floats]
-
-
 class StepModel(Protocol):
     """The quadratic models of one matrix H (size, size) from one q (size,)."""
 
@@ -76,7 +72,7 @@ class StepModel(Protocol):
         """
 
     def following(self) -> Follow:
-        """Return r (size,) -> B^-1 r: minus the change of the best step for r more gradient."""
+        """Return how the best step follows the gradient, from what holds it at the bounds."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +108,10 @@ class BoxSteps(StepModel):
 
     @override
     def following(self) -> Follow:
+        return self._follow
+
+    @cached_property
+    def _follow(self) -> Follow:
         lower, upper = self.limits
         ahead = self.best(self.gradient)
         # at a bound that the step would leave, it stays
@@ -139,7 +139,8 @@ class SetSteps(StepModel):
 
     @override
     def best(self, gradient: Floats) -> Floats:
-        found = self._linearised_step(gradient)
+        own = gradient is self.gradient
+        found = self._linearised if own else self._linearised_step(gradient)
         if found is not None:
             return found.change
         model = self.bounds, self.hessian, gradient, self.q
@@ -148,12 +149,20 @@ class SetSteps(StepModel):
 
     @override
     def following(self) -> Follow:
-        found = self._linearised_step(self.gradient)
+        return self._follow
+
+    @cached_property
+    def _follow(self) -> Follow:
+        found = self._linearised
         if found is not None:
             return found.follow
         model = self.bounds, self.hessian, self.gradient, self.q
         ahead = interior_step(*model, self.options.interior)
         return partial(_solve, _factorise(self.hessian + ahead.curvature))
+
+    @cached_property
+    def _linearised(self) -> LinearisedStep | None:
+        return self._linearised_step(self.gradient)
 
     def _linearised_step(self, gradient: Floats) -> LinearisedStep | None:
         model = self.bounds, self.hessian, gradient, self.q
@@ -184,16 +193,18 @@ class LinearisedStep:
     change: Floats
     root: Floats
     active: Floats
+    ridge: float
 
     def follow(self, change: Floats) -> Floats:
-        """Return L^-T (1 - Q Q^T) L^-1 r for r (size,), the columns of Q being a basis of V's."""
+        """Return L^-T (1 - V (V^T V)^-1 V^T) L^-1 r for r (size,)."""
         pull = _solve_triangular(self.root, change)
-        pull -= self._basis @ (self._basis.T @ pull)
+        held = _solve_triangular(self._triangle, self.active.T @ pull)
+        pull -= self.active @ _solve_triangular(self._triangle, held, trans="T")
         return _solve_triangular(self.root, pull, trans="T")
 
     @cached_property
-    def _basis(self) -> Floats:
-        return np.asarray(scipy.linalg.orth(self.active))
+    def _triangle(self) -> Floats:
+        return _root_of_square(self.active, self.ridge)
 
 
 def linearised_step(
@@ -211,10 +222,13 @@ def linearised_step(
     finite.
     """
     try:
-        root = scipy.linalg.cholesky(hessian, lower=True)
-        free = -scipy.linalg.cho_solve((root, True), gradient)
-    except (np.linalg.LinAlgError, ValueError) as error:
+        # in the order that LAPACK has, which spares a transposed copy
+        root = scipy.linalg.cholesky(hessian.T, lower=True, check_finite=False)
+    except np.linalg.LinAlgError as error:
         raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
+    free = -scipy.linalg.cho_solve((root, True), gradient, check_finite=False)
+    if not np.isfinite(free).all():
+        raise SolveError("solve.not_finite", "no Gauss-Newton step: it is not finite")
     begin = q if bounds.contains(q) else bounds.clip(q)
     entered = begin - q
     gradient = gradient + hessian @ entered
@@ -225,12 +239,12 @@ def linearised_step(
     step, active, is_certain = ahead
     promised = _gain(step, hessian, gradient)
     if promised <= 0.0:
-        return LinearisedStep(entered, root, active) if is_certain else None
+        return LinearisedStep(entered, root, active, options.ridge) if is_certain else None
     least = options.worth * promised
     for part in options.parts:
         inside = bounds.clip(begin + part * step) - begin
         if _gain(inside, hessian, gradient) >= least:
-            return LinearisedStep(entered + inside, root, active)
+            return LinearisedStep(entered + inside, root, active, options.ridge)
     return None
 
 
@@ -281,11 +295,19 @@ def _cut_step(
 
 def _multipliers(columns: Floats, broken: Floats, ridge: float) -> Floats:
     """Return the l (k,) of columns V (size, k) and how far ``broken`` (k,) each bound is."""
+    root = _root_of_square(columns, ridge)
+    right = _solve_triangular(root, broken)
+    found = _solve_triangular(root, right, trans="T")
+    if (found < 0.0).any():
+        found, _ = nnls(root.T, right)
+    return np.asarray(found)
+
+
+def _root_of_square(columns: Floats, ridge: float) -> Floats:
+    """Return the lower triangular root (k, k) of V^T V for V (size, k)."""
     matrix = columns.T @ columns
     matrix[np.diag_indices_from(matrix)] *= 1.0 + ridge
-    root = scipy.linalg.cholesky(matrix, lower=True, check_finite=False)
-    found, _ = nnls(root.T, _solve_triangular(root, broken))
-    return np.asarray(found)
+    return np.asarray(scipy.linalg.cholesky(matrix, lower=True, check_finite=False))
 
 
 def _solve_triangular(root: Floats, right: Floats, trans: Literal["N", "T"] = "N") -> Floats:

@@ -116,6 +116,7 @@ class FrameSolver:
         ):
             lagged = _LaggedModel.of(lagged.jacobian, data, weights, self.state.x)
             self._lagged = lagged
+            self._search.forget()
         if lagged and self._expired:
             lagged = self.relinearise(data, weights)
         self._expired = False
@@ -177,6 +178,7 @@ class FrameSolver:
             self.state = PosedFace(pose, replace(found, factor=factorization))
         jacobian = Sensitivity(self.face, self.state).by_pose().in_single_precision()
         self._lagged = _LaggedModel.of(jacobian, data, weights, self.state.x)
+        self._search.forget()
         self._age = 0
         return self._lagged
 
@@ -207,18 +209,27 @@ class _FrameProblem:
         touching = 0.0 if self.contact is None else self.contact.value(point.estimate)
         return activation.objective(self.data, self.regulariser, point) + touching
 
-    def linearise(self, point: PosedFace) -> DenseModel:
+    def linearise(self, point: PosedFace) -> _FrameModel:
         jacobian = self.lagged.jacobian
         gradient = jacobian.adjoint(self.data.gradient(point.x))
         gradient += self.regulariser.gradient(point.pose)
+        touching = self._touching(point)
+        if touching:
+            gradient += jacobian.adjoint(touching.gradient(point.estimate))
+        return _FrameModel(self, point, gradient)
+
+    def hessian(self, point: PosedFace) -> Floats:
+        """Return the Gauss-Newton matrix of the pose."""
         hessian = self.lagged.hessian.copy()
         self.regulariser.add_gauss_newton(point.pose, hessian)
-        # contact is found anew for every x: where f's value has found it
-        if self.contact is not None and self.contact.value(point.estimate):
-            gradient += jacobian.adjoint(self.contact.gradient(point.estimate))
-            hessian += jacobian.contract(self.contact.curvature(point.estimate))
-        pose = point.pose
-        return DenseModel(pose.layout, hessian, gradient, pose.vector(), options=self.steps)
+        touching = self._touching(point)
+        if touching:
+            hessian += self.lagged.jacobian.contract(touching.curvature(point.estimate))
+        return hessian
+
+    def _touching(self, point: PosedFace) -> Term | None:
+        """Return contact where there is any: found anew for every x, as f's value has found it."""
+        return self.contact if self.contact and self.contact.value(point.estimate) else None
 
     def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:
         """Correct the equilibrium, no more."""
@@ -228,6 +239,24 @@ class _FrameProblem:
         x = flesh.add_motion(point.x, self.lagged.jacobian.flesh_motion(step.change))
         x[face.model.mandible] = face.mandible(pose.b)
         return _correct(face, point, pose, x, self.corrector)
+
+
+@dataclass(frozen=True)
+class _FrameModel:
+    """f around a point by its ``gradient`` (size,): a :class:`~.least_squares.LinearModel`.
+
+    Its matrix is made where a step is asked for.
+    """
+
+    problem: _FrameProblem
+    point: PosedFace
+    gradient: Floats
+
+    def step(self, damping: float, trust: float) -> LeastSquaresStep:
+        """See :meth:`~.activation.DenseModel.step`."""
+        pose = self.point.pose
+        model = pose.layout, self.problem.hessian(self.point), self.gradient, pose.vector()
+        return DenseModel(*model, options=self.problem.steps).step(damping, trust)
 
 
 def _correct(

@@ -1,6 +1,6 @@
 """The damped descent on Rosenbrock's valley and the damping rules."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -53,6 +53,18 @@ class Linearised:
         step /= max(np.abs(step).max() / trust, 1.0)
         bend = step @ self.hessian @ step
         return LeastSquaresStep(step, self.gradient @ step, bend, np.abs(step).max())
+
+
+@dataclass
+class Followed(Linearised):
+    """A model that tells how steps of its matrix follow their gradients, and counts them."""
+
+    made: list
+
+    def step(self, damping, trust):
+        self.made.append(self.gradient)
+        step = super().step(damping, trust)
+        return replace(step, following=lambda: lambda change: np.linalg.solve(self.hessian, change))
 
 
 SEARCHES = [
@@ -193,3 +205,28 @@ def test_what_gauss_newton_leaves_out_is_learnt_from_gradients():
 
 def step_of(change, image):
     return LeastSquaresStep(change, 0.0, change @ image, image=image)
+
+
+def test_a_step_of_which_the_last_matrix_promises_too_little_is_not_made():
+    """On a parabola the matrix of the first step tells that a second one would gain nothing."""
+    hessian = np.array([[3.0, 1.0], [1.0, 2.0]])
+    made = []
+
+    class Parabola(Valley):
+        def value(self, q):
+            return 1.0 + 0.5 * q @ hessian @ q
+
+        def linearise(self, q):
+            return Followed(hessian @ q, hessian, made)
+
+    search = Backtracking(DampingOptions(0.0, least=0.0))
+    stop = StopOptions(5, promised=1e-3)
+    found = minimise(Parabola(), np.array([0.8, -0.4]), search, stop)
+    assert (found.termination, found.steps, found.idle) == (Termination.CONVERGED, 1, True)
+    assert len(made) == 1
+    # from elsewhere it promises enough; another matrix is not judged by it
+    minimise(Parabola(), np.array([0.5, 0.5]), search, stop)
+    assert len(made) == 2
+    search.forget()
+    minimise(Parabola(), np.zeros(2), search, stop)
+    assert len(made) == 3
