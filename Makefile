@@ -4,8 +4,11 @@
 
 BIN := .venv/bin
 TESTS := $(BIN)/python -m pytest
+PROCESSORS := $(shell nproc 2>/dev/null || echo 2)
 # One process more than processors: many tests wait for servers, leases and timeouts.
-WORKERS ?= $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
+WORKERS ?= $(shell expr $(PROCESSORS) + 1)
+# Containers like to set this; then each of a hundred processes compiles all modules anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -13,11 +16,11 @@ help: ## list the targets
 demo: setup ## the whole product on the built-in face: scans in over HTTP, a fitted rig and a report out
 	@$(BIN)/myoface demo
 
-quick: setup-dev ## style, types, and unit tests that need no data and no process (1 to 2 minutes)
+quick: setup-dev ## style, types, and unit tests that need no data and no process (a minute)
 	@$(BIN)/ruff check --quiet
 	@$(BIN)/ruff format --check --quiet
 	@$(BIN)/mypy
-	@$(TESTS) --quick -p no:schemathesis --quiet -n $(WORKERS)
+	@$(TESTS) --quick -p no:schemathesis --quiet -n $(PROCESSORS)
 
 test: setup-dev ## what CI runs: the checks and all tests that are not slow (how long: docs/develop/development.md)
 	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target check fast-servers kernels

@@ -21,6 +21,7 @@ from service.app import create_app
 from service.queue import table
 from service.settings import Settings
 from service.store.models import DEFAULT_TENANT, Artifact, Rig
+from tests.stores import lay_tables
 
 ROOT = Path(__file__).parents[1]
 OFFSET_STREAM = "application/offset+octet-stream"
@@ -203,6 +204,7 @@ class Studio:
 @contextmanager
 def served(settings: Settings) -> Iterator[Studio]:
     """Serve the API in this process, without broker and workers: jobs stay queued."""
+    lay_tables(settings)
     with TestClient(create_app(settings), base_url="http://127.0.0.1") as http:
         yield Studio(http, settings.admin_key.read_text())
 

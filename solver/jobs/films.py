@@ -34,7 +34,7 @@ from solver.photo.camera import PinholeCamera
 from solver.photo.expression import PhotoExpression, marks_of, read_neutral
 from solver.photo.film import FilmFrame, FilmOptions, FilmTracker, as_expression, find_focal
 from solver.photo.film_marks import FilmMarks, find_marks
-from solver.photo.footage import Footage, Pictures, opened_film
+from solver.photo.footage import Footage, Pictures, open_film
 from solver.photo.mesh_points import landmark_points
 from solver.photo.oddities import find_closed_eyes
 from solver.photo.photo import Photo
@@ -255,7 +255,7 @@ def _fit(
 def _open(task: Task[FitPhoto], landmarks: Sequence[str], opened: ExitStack) -> Footage:
     """Return the job's pictures: a film's file, folder or ZIP, or photographs in their order."""
     if "film" in task.inputs:
-        return opened.enter_context(opened_film(task.inputs["film"], landmarks))
+        return opened.enter_context(open_film(task.inputs["film"], landmarks))
     if not task.captures:
         raise InputError("job.missing", "the job needs a film, or its pictures", expected="film")
     return Pictures("the film", task.captures, task.facts, task.masks, landmarks)

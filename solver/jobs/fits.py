@@ -36,6 +36,7 @@ from solver.model import SubjectModel
 from solver.progress import ProgressCallback, Step
 from solver.rig import ExpressionFit, Rig, System
 from solver.rig.exporters import export, write_rig
+from solver.rig.expression import errors_on_skin, refuse_not_finite
 from solver.rig.report.certificate import certify, with_round_trips
 from solver.scans.known_activations import NOTHING, KnownMuscles, read_known
 from solver.surface import Floats, Ints, Surface, vertex_normals
@@ -164,11 +165,8 @@ def describe_fit(
     Raises ``solve.not_finite`` rather than write NaN.
     """
     state = found.state
+    refuse_not_finite(name, state)
     points = face.face_points(state.x)
-    if not (np.isfinite(state.x).all() and np.isfinite(state.pose.a).all()):
-        raise SolveError("solve.not_finite", f"the fit of {name} is not finite")
-    error = np.full(len(scan.vertices), np.nan)
-    error[face.model.face] = target.distances(points)
     return ExpressionFit(
         name=name,
         role=role,
@@ -176,7 +174,7 @@ def describe_fit(
         jaw=face.five_jaw_numbers(state.pose.b),
         skin=face.whole_skin(state.x, state.pose.b),
         target=scan.vertices,
-        error_mm=error,
+        error_mm=errors_on_skin(face.model, target, points),
         inverted=face.flesh.count_inverted(state.x),
         iterations=found.iterations,
         seconds=seconds,

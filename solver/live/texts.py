@@ -14,8 +14,8 @@ from solver.live.session import LiveSession, arrays_of
 from solver.live.source import LiveSource
 
 FLAGS = {"held": HELD, "resumed": RESUMED, "gap": GAP}
-MOST_NUMBER = 2**32 - 1
-DECIMALS = 5
+MOST_NUMBER = 2**32 - 1  # of a frame
+DECIMALS = 5  # of the values of an answer
 
 
 def read_frame(said: Mapping[str, Any], source: LiveSource) -> GivenFrame:

@@ -14,9 +14,10 @@ import numpy as np
 from solver.neck.cholesky import solve_lower
 from solver.surface import Floats
 
-FREE = 0
-LOW = 1
-HIGH = 2
+# The side that an x is on
+FREE = 0  # between its bounds, and solved for
+LOW = 1  # at its lower bound
+HIGH = 2  # at its upper one
 PATIENCE = 3  # exchanges of all that are wrong, without fewer of them
 TOLERANCE = 1e-9  # of x, and of a gradient by its entry of H's diagonal
 MOST = 2000  # systems

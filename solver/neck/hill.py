@@ -34,8 +34,8 @@ import numpy as np
 from solver.neck.anatomy import MM, Neck
 from solver.surface import Floats
 
-SPRINGS = 0
-CURVES = 1
+SPRINGS = 0  # the first law, by number for compiled loops
+CURVES = 1  # the second
 LAWS = {"springs": SPRINGS, "curves": CURVES}
 Parts = tuple[float, float, float, float, float, float]
 

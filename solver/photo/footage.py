@@ -125,14 +125,17 @@ class FilmFile:
 
 
 @contextmanager
-def opened_film(path: Path, landmarks: Collection[str] = ()) -> Iterator[Footage]:
+def open_film(path: Path, landmarks: Collection[str] = ()) -> Iterator[Footage]:
     """Give the frames of a file, a folder of pictures, or a ZIP of them, for a while unpacked.
 
-    Raises as :func:`open_film`, and for a ZIP that cannot be unpacked, holds pictures in several
-    folders or unpacks to too much ``film.unreadable``.
+    Raises as :class:`FilmFile` and :func:`open_pictures`, and for a ZIP that cannot be unpacked,
+    holds pictures in several folders or unpacks to too much ``film.unreadable``.
     """
-    if path.suffix.lower() not in ARCHIVES or path.is_dir():
-        yield open_film(path, landmarks)
+    if path.is_dir():
+        yield open_pictures(path, landmarks, path.name)
+        return
+    if path.suffix.lower() not in ARCHIVES:
+        yield FilmFile(path)
         return
     kinds = (*ROLES["photo"].formats, *ROLES["photo"].landmarks)
 
@@ -156,14 +159,6 @@ def opened_film(path: Path, landmarks: Collection[str] = ()) -> Iterator[Footage
 
     with unpacked(path, PICTURE_LIMITS, pictures) as folder:
         yield open_pictures(folder, landmarks, path.name)
-
-
-def open_film(path: Path, landmarks: Collection[str] = ()) -> Footage:
-    """Return the frames of a file, or of a folder of pictures.
-
-    Raises as :class:`FilmFile` and :func:`open_pictures`.
-    """
-    return open_pictures(path, landmarks, path.name) if path.is_dir() else FilmFile(path)
 
 
 def open_pictures(path: Path, landmarks: Collection[str], film: str) -> Pictures:

@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from solver.errors import Finding, InputError
+from solver.errors import Finding, InputError, SolveError
+from solver.fitting.face import PosedFace
 from solver.fitting.known import KnownFit
+from solver.fitting.objective import Target
 from solver.kinds import FILES
 from solver.model import SubjectModel
 from solver.rig.round_trip import RoundTrip
@@ -69,6 +71,19 @@ class ExpressionFit:
         """Return the errors (k,) in mm of those ``vertices`` that the scan shows."""
         error = self.error_mm[vertices]
         return error[np.isfinite(error)]
+
+
+def refuse_not_finite(name: str, state: PosedFace) -> None:
+    """Raise ``solve.not_finite`` rather than let the fit of ``name`` be written as NaN."""
+    if not (np.isfinite(state.x).all() and np.isfinite(state.pose.a).all()):
+        raise SolveError("solve.not_finite", f"the fit of {name} is not finite")
+
+
+def errors_on_skin(model: SubjectModel, target: Target, points: Floats) -> Floats:
+    """Return how far the face's ``points`` lie off their target, (v,) mm; NaN beside the face."""
+    error = np.full(len(model.skin.vertices), np.nan)
+    error[model.face] = target.distances(points)
+    return error
 
 
 def expression_arrays(expressions: Sequence[ExpressionFit], model: SubjectModel) -> Arrays:

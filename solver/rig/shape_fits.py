@@ -19,6 +19,7 @@ from solver.fitting.objective import SkinDistance, Target
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
+from solver.rig.expression import errors_on_skin
 from solver.rig.round_trip import RoundTrip
 from solver.rig.system import ShapeFit
 from solver.tracks.fit import ShapeFace, State, TrackFit, TrackFitOptions, fit
@@ -70,10 +71,7 @@ def _describe(
     face: ShapeFace[State], name: str, scan: RegisteredScan, target: Target, found: TrackFit[State]
 ) -> ShapeFit:
     state = found.state
-    model = face.face.model
     points = face.face.face_points(state.x)
-    error = np.full(len(scan.vertices), np.nan)
-    error[model.face] = target.distances(points)
     return ShapeFit(
         name,
         "test",  # no scan shapes tracks
@@ -81,7 +79,7 @@ def _describe(
         state.pose.jaw,
         face.skin(state),
         scan.vertices,
-        error,
+        errors_on_skin(face.face.model, target, points),
         state.inverted,
         found.steps,
         0.0,

@@ -22,6 +22,7 @@ from solver.fitting.per_tet.tissue import Tissue
 from solver.mechanics.flesh import COROTATED_DET, IDENTITY
 from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
+from solver.rig.expression import errors_on_skin, refuse_not_finite
 from solver.rig.round_trip import RoundTrip
 from solver.rig.system import TetFit
 from solver.surface import Floats, Ints
@@ -56,8 +57,7 @@ class TetFitter:
         begun = time.perf_counter()
         try:
             found = per_tet.fit(self._face, self._data[name], options=self.options, listen=listen)
-            if not (np.isfinite(found.state.x).all() and np.isfinite(found.state.pose.a).all()):
-                raise SolveError("solve.not_finite", f"the fit of {name} is not finite")
+            refuse_not_finite(name, found.state)
         except (SolveError, np.linalg.LinAlgError) as error:
             notice = make_warning("solve.failed", f"no fit was found ({error})")
             at_rest = self._described(name, scan, self._tissue.face.rest)
@@ -74,8 +74,6 @@ class TetFitter:
         face = self._tissue.face
         target = self._targets[name]
         points = face.face_points(state.x)
-        error = np.full(len(scan.vertices), np.nan)
-        error[face.model.face] = target.distances(points)
         return TetFit(
             name=name,
             role="test",  # no scan shapes tets
@@ -83,7 +81,7 @@ class TetFitter:
             jaw=face.five_jaw_numbers(state.pose.b),
             skin=face.whole_skin(state.x, state.pose.b),
             target=scan.vertices,
-            error_mm=error,
+            error_mm=errors_on_skin(face.model, target, points),
             inverted=self._face.flesh.count_inverted(state.x),
             iterations=0,
             seconds=0.0,

@@ -41,7 +41,7 @@ from solver.similarity import Similarity
 from solver.surface import Floats
 
 STILL_MM = 0.5  # moves of a head that nobody sees
-MILLI = 1e-3
+MILLI = 1e-3  # of seconds, metres or newtons in the scene's unit
 
 
 class CarriedHead:

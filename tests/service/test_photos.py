@@ -97,6 +97,7 @@ def test_a_photograph_comes_with_what_is_known_of_it(studio: Studio) -> None:
     assert (role["landmarks"], role["masks"], role["is_scan"]) == ([".json"], [".png"], False)
 
 
+@pytest.mark.long
 def test_a_film_is_one_file_or_many_pictures(studio: Studio) -> None:
     subject = studio.post("/v1/subjects", name="Alex")["id"]
     upload = studio.upload("clip.MP4", b"a film")
@@ -162,6 +163,7 @@ def test_a_model_goes_on_from_photographs_where_there_is_no_scan(studio: Studio)
     assert neutral["of"] == scan
 
 
+@pytest.mark.long
 def test_a_job_reads_the_photographs_that_are_chosen(studio: Studio) -> None:
     subject = studio.subject()
     smile = _photo(studio, subject, "smile", mask=MASK)

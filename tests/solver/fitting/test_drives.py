@@ -49,6 +49,7 @@ def test_at_rest_the_flesh_is_passive(driven):
     check_rest(driven)
 
 
+@pytest.mark.long
 def test_values_are_found_again_from_the_skin(driven):
     check_round_trip(driven)
 

@@ -26,6 +26,7 @@ def model_file(tmp_path, monkeypatch):
     return file
 
 
+@pytest.mark.long
 def test_it_leaves_tracks_their_figures_and_a_picture(tmp_path, model_file):
     options = {"stiffness": {"left": 2.0}, "length_mm": 2, "bones": "held"}
     files = run_job("build_tracks", tmp_path / "out", options=options, model=model_file)

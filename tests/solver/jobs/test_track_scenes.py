@@ -58,6 +58,7 @@ def test_keys_of_shapes_are_reached(files: dict[str, Path], tmp_path: Path) -> N
     assert np.abs(found["lengths"][-1] / found["lengths"][0] - 1.0).max() > 0.005
 
 
+@pytest.mark.long
 def test_scenes_keep_their_forces_edits_and_inertia(files: dict[str, Path], tmp_path: Path) -> None:
     pull = {"kind": "point", "at": [25, 20, 15], "mn": [0, 0, 2000], "radius_mm": 15}
     keys = {"keys": [{"time": 0}, {"time": 0.1, "shapes": {"mouthPucker": 1.0}}]}
@@ -72,6 +73,7 @@ def test_scenes_keep_their_forces_edits_and_inertia(files: dict[str, Path], tmp_
     assert np.abs(late[-1] - plain[-1]).max() > 0.05
 
 
+@pytest.mark.long
 def test_a_stopped_scene_goes_on(files: dict[str, Path], tmp_path: Path) -> None:
     whole = play(files, tmp_path, {"keys": KEYS})
     again = play(files, tmp_path, {"keys": KEYS}, resume=True)
@@ -131,6 +133,7 @@ def test_a_recording_is_known_by_what_it_holds(files: dict[str, Path], tmp_path:
     assert error.value.code == "live_link.options"
 
 
+@pytest.mark.long
 def test_what_is_measured_of_a_video_is_left_and_plays_as_it(
     files: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -44,6 +44,7 @@ def test_a_neck_comes_back_as_it_was_written(tmp_path):
         assert numbers == pytest.approx((ours.strength, ours.fibre, ours.tendon, ours.pennation))
 
 
+@pytest.mark.long
 def test_lengths_are_those_of_opensim():
     pytest.importorskip("opensim", reason="OpenSim is the oracle: pip install opensim")
     file = data_folder("neck", "mortensen_kinpassenger", "Mortensen2014_rigidTorso.osim")

@@ -16,7 +16,7 @@ from solver.errors import InputError
 from solver.photo.camera import PinholeCamera
 from solver.photo.film import FilmOptions, FilmTracker, FrameProblem, RandomWalk, StepNoise
 from solver.photo.fit import PhotoFitOptions, PhotoPoint, PhotoProblem, PhotoView
-from solver.photo.footage import FilmFile, Pictures, natural_order, open_film, opened_film
+from solver.photo.footage import FilmFile, Pictures, natural_order, open_film
 from solver.photo.mesh_points import landmark_points
 from solver.photo.photo import Photo
 from solver.photo.terms import LandmarkTerm
@@ -118,13 +118,14 @@ def test_what_is_no_film_is_told(tmp_path: Path) -> None:
     (tmp_path / "film.mp4").write_bytes(b"none" * 100)
     (tmp_path / "folder").mkdir()
     for name in ("film.mp4", "folder"):
-        with pytest.raises(InputError) as refused:
-            open_film(tmp_path / name)
+        with pytest.raises(InputError) as refused, open_film(tmp_path / name):
+            pass
         assert refused.value.code == "film.unreadable"
     small = [np.zeros((32, 48, 3))] * 2
     write_video(tmp_path / "small.mp4", small, (48, 32), 25.0)
-    with pytest.raises(InputError, match="48 x 32") as refused:
-        open_film(tmp_path / "small.mp4")
+    small_film = open_film(tmp_path / "small.mp4")
+    with pytest.raises(InputError, match="48 x 32") as refused, small_film:
+        pass
     assert refused.value.code == "film.size"
 
 
@@ -132,9 +133,9 @@ def test_a_folder_of_pictures_is_a_film(tmp_path: Path) -> None:
     for number in (10, 9):
         Image.new("RGB", SIZE, (10 * number, 0, 0)).save(tmp_path / f"{number}.png")
     (tmp_path / "notes.txt").write_text("")
-    film = open_film(tmp_path)
-    assert isinstance(film, Pictures)
-    assert [film.photo(number).name for number in range(len(film))] == ["9", "10"]
+    with open_film(tmp_path) as film:
+        assert isinstance(film, Pictures)
+        assert [film.photo(number).name for number in range(len(film))] == ["9", "10"]
 
 
 def pack(path: Path, members: Mapping[str, bytes]) -> Path:
@@ -152,7 +153,7 @@ def test_a_zip_of_pictures_is_a_film(tmp_path: Path) -> None:
     members = {f"day/{number}.png": picture for number in (10, 9)}
     members |= {"day/9.json": facts, "read me.txt": b"", "meta/info.json": b"{}"}
     members |= {"__MACOSX/day/._9.png": b"none"}
-    with opened_film(pack(tmp_path / "day.ZIP", members)) as film:
+    with open_film(pack(tmp_path / "day.ZIP", members)) as film:
         assert isinstance(film, Pictures)
         assert film.name == "day.ZIP"
         assert [film.photo(number).name for number in range(len(film))] == ["9", "10"]
@@ -169,6 +170,6 @@ def test_a_zip_of_pictures_is_a_film(tmp_path: Path) -> None:
         path = pack(tmp_path / f"{name}.zip", held)
         if name == "cut":
             path.write_bytes(path.read_bytes()[:-30])
-        with pytest.raises(InputError, match=words) as refused, opened_film(path):
+        with pytest.raises(InputError, match=words) as refused, open_film(path):
             pass
         assert refused.value.code == "film.unreadable"

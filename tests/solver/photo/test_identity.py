@@ -61,6 +61,7 @@ def off(skin: Floats, truth: Floats) -> float:
     return float(np.linalg.norm(motion(skin[FACE]) - truth[FACE], axis=1).mean())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 2])
 def test_a_drawn_person_is_found_and_what_they_do_is_taken_out(seed: int) -> None:
     person = somebody(seed)

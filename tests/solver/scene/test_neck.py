@@ -35,6 +35,7 @@ def staged(scene: dict[str, Any]) -> Stage:
     return Stage(played, Places(MODEL, {}), MODEL.weights, drives)
 
 
+@pytest.mark.long
 def test_the_head_goes_where_it_is_asked_to_on_a_torso_that_stands_still() -> None:
     stage = staged({"head": UP, "neck": JOINTS_ALONE})
     drive = stage.drive(0.0, stage.drives(0.0))

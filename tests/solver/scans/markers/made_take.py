@@ -44,10 +44,13 @@ def sites() -> np.ndarray:
     return np.array(found)
 
 
+@cache
 def on_skin(name: str) -> Floats:
     """Return where the markers are in an expression."""
     skin = small_capture(name)
-    return skin.vertices[sites()] + HEIGHT * vertex_normals(skin)[sites()]
+    places: Floats = skin.vertices[sites()] + HEIGHT * vertex_normals(skin)[sites()]
+    places.setflags(write=False)
+    return places
 
 
 def made_positions(frames: int = FRAMES, noise: float = 0.1, seed: int = 0) -> Floats:

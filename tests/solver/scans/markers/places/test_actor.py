@@ -48,7 +48,8 @@ def still(markers: MarkerSet) -> Floats:
     """The person's markers over time, with the head still."""
     rest = on_skin("neutral")
     positions = made_positions(FRAMES, noise=0.0) - AWAY
-    face = [weighted_motion(each, rest, head_weights())(each) for each in positions]
+    weights = head_weights()
+    face = [weighted_motion(each, rest, weights)(each) for each in positions]
     return np.array(face) - rest + rest_places(markers, SKIN)
 
 
