@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 
 import igl
 import numpy as np
@@ -33,7 +34,9 @@ class ScanSurfaceOptions:
     cloud_neighbours: int = NEIGHBOURS  # of a point, on a plane
     turn: float = 20.0  # a turn by a radian counts as this distance
     compatible_neighbours: int = 3  # that are averaged
-    samples: int = 60_000  # points that stand for a scan
+    samples: int = 60_000  # points that stand for a scan ...
+    # ... and how many a leaf of their tree holds: with 10 a face far off takes three times as long
+    leaf: int = 64
 
 
 SURFACE = ScanSurfaceOptions()
@@ -235,6 +238,11 @@ class Samples:
     points: Floats
     normals: Floats
     oriented: bool
+
+    @cached_property
+    def tree(self) -> KDTree:
+        """A tree of the points."""
+        return KDTree(self.points, SURFACE.leaf)
 
     def transform(self, motion: Similarity) -> Samples:
         """Return the samples in another frame."""
