@@ -25,6 +25,10 @@ class Surface:
         """Return the same triangles with other vertex positions, shape (n, 3)."""
         return Surface(vertices, self.faces)
 
+    def flipped(self) -> Surface:
+        """Return the surface with its triangles wound the other way."""
+        return Surface(self.vertices, np.ascontiguousarray(self.faces[:, ::-1]))
+
 
 def vertex_normals(surface: Surface) -> Floats:
     """Return unit vertex normals (n, 3); a vertex without area gets (0, 0, 1)."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from solver.surface import Floats, Ints, Surface, vertex_normals
+from solver.surface import Floats, Ints, Surface, unit_rows, vertex_normals
 
 # Soft studio light, from a few dozen directions: one small depth map for each tells which vertices
 # it reaches, so that hollows darken and noses cast soft shadows without tracing a ray.
@@ -52,12 +54,12 @@ def gather(
     """
     vertices = surface.vertices - (surface.vertices.min(axis=0) + surface.vertices.max(axis=0)) / 2
     radius = float(np.linalg.norm(vertices, axis=1).max()) + 2 * shadows.lift_mm
-    axes = np.stack([_axes(direction) for direction in directions])
     limits = shadows.map_pixels, shadows.lift_mm, shadows.bias_pixels
+    axes = _axes(directions)
     return np.asarray(_gather(vertices, surface.faces, normals, axes, colours, radius, *limits))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _gather(
     vertices: Floats,
     faces: Ints,
@@ -77,13 +79,13 @@ def _gather(
     for number in range(len(axes)):
         right, up, towards = axes[number]
         for vertex in range(len(vertices)):
-            x, y, z = vertices[vertex]
+            x, y, z = _corner(vertices, vertex)
             places[vertex, 0] = (x * right[0] + y * right[1] + z * right[2] + radius) * scale
             places[vertex, 1] = (x * up[0] + y * up[1] + z * up[2] + radius) * scale
             places[vertex, 2] = (x * towards[0] + y * towards[1] + z * towards[2]) * scale
         nearest = _depth_map(places, faces, map_pixels)
         for vertex in range(len(vertices)):
-            x, y, z = normals[vertex]
+            x, y, z = _corner(normals, vertex)
             cosine = x * towards[0] + y * towards[1] + z * towards[2]
             if cosine <= 0.0:
                 continue
@@ -91,35 +93,43 @@ def _gather(
             column = int(places[vertex, 0] + lift * (x * right[0] + y * right[1] + z * right[2]))
             row = int(places[vertex, 1] + lift * (x * up[0] + y * up[1] + z * up[2]))
             if places[vertex, 2] + lift * cosine > nearest[row, column] - bias_pixels:
-                light[vertex] += cosine * colours[number]
+                for channel in range(colours.shape[1]):
+                    light[vertex, channel] += cosine * colours[number, channel]
     return light
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _depth_map(places: Floats, faces: Ints, pixels: int) -> Floats:
     """Return the greatest third coordinate of triangles at ``places`` (n, 3), in pixels."""
     nearest = np.full((pixels, pixels), -np.inf)
     for face in range(len(faces)):
-        ax, ay, az = places[faces[face, 0]]
-        bx, by, bz = places[faces[face, 1]]
-        cx, cy, cz = places[faces[face, 2]]
+        ax, ay, az = _corner(places, faces[face, 0])
+        bx, by, bz = _corner(places, faces[face, 1])
+        cx, cy, cz = _corner(places, faces[face, 2])
+        left = math.ceil(min(ax, bx, cx) - 0.5)
+        right = math.floor(max(ax, bx, cx) - 0.5)
+        top = math.ceil(min(ay, by, cy) - 0.5)
+        bottom = math.floor(max(ay, by, cy) - 0.5)
         area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-        if area == 0.0:
+        if area == 0.0 or right < left or bottom < top:
             continue
-        left = int(np.ceil(min(ax, bx, cx) - 0.5))
-        right = int(np.floor(max(ax, bx, cx) - 0.5))
-        top = int(np.ceil(min(ay, by, cy) - 0.5))
-        bottom = int(np.floor(max(ay, by, cy) - 0.5))
+        part = 1.0 / area
         for row in range(top, bottom + 1):
             for column in range(left, right + 1):
                 x = column + 0.5
                 y = row + 0.5
-                a = ((bx - x) * (cy - y) - (cx - x) * (by - y)) / area
-                b = ((cx - x) * (ay - y) - (ax - x) * (cy - y)) / area
+                a = ((bx - x) * (cy - y) - (cx - x) * (by - y)) * part
+                b = ((cx - x) * (ay - y) - (ax - x) * (cy - y)) * part
                 if a >= 0.0 and b >= 0.0 and a + b <= 1.0:
                     depth = a * az + b * bz + (1.0 - a - b) * cz
                     nearest[row, column] = max(nearest[row, column], depth)
     return nearest
+
+
+@njit(cache=True, inline="always")
+def _corner(points: Floats, number: int) -> tuple[float, float, float]:
+    # unpacked at once, a row would be made an array first
+    return points[number, 0], points[number, 1], points[number, 2]
 
 
 def _studio(directions: Floats) -> Floats:
@@ -141,11 +151,11 @@ def sphere(count: int) -> Floats:
     return np.column_stack([ring * np.cos(turn), y, ring * np.sin(turn)])
 
 
-def _axes(direction: Floats) -> Floats:
-    helper = np.array([1.0, 0.0, 0.0]) if abs(direction[0]) < 0.7 else np.array([0.0, 1.0, 0.0])
-    right = np.cross(helper, direction)
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(direction, right), direction])
+def _axes(directions: Floats) -> Floats:
+    """Return unit vectors right, up and towards (k, 3, 3) of maps that look along directions."""
+    helper = np.where(np.abs(directions[:, :1]) < 0.7, np.eye(3)[0], np.eye(3)[1])
+    right = unit_rows(np.cross(helper, directions))
+    return np.stack([right, np.cross(directions, right), directions], axis=1)
 
 
 # A small z-buffer: the triangle that is seen in each pixel, without a window system or a GPU.
@@ -224,7 +234,7 @@ def rasterise(points: Floats, faces: Ints, width: int, height: int) -> Visible:
     return Visible(triangle, weights, faces)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _rasterise(
     points: Floats, faces: Ints, width: int, height: int
 ) -> tuple[NDArray[np.int32], Pixels]:
@@ -233,9 +243,9 @@ def _rasterise(
     weights = np.zeros((height, width, 3), np.float32)
     nearness = np.zeros((height, width), np.float32)
     for face in range(len(faces)):
-        ax, ay, az = points[faces[face, 0]]
-        bx, by, bz = points[faces[face, 1]]
-        cx, cy, cz = points[faces[face, 2]]
+        ax, ay, az = _corner(points, faces[face, 0])
+        bx, by, bz = _corner(points, faces[face, 1])
+        cx, cy, cz = _corner(points, faces[face, 2])
         area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
         if area == 0.0 or min(az, bz, cz) <= 0.0:
             continue
@@ -279,8 +289,10 @@ def _blend(values: Pixels, corners: Ints, weights: Pixels) -> Pixels:
 # Pictures: surfaces with colour, gloss and opacity, in light.
 
 SUPERSAMPLING = 2  # pixels a side that make one of the image
+SUBPIXELS = tuple(product(range(SUPERSAMPLING), repeat=2))
 BACKGROUND = np.array([0.975, 0.975, 0.98], np.float32)  # sRGB
 GAMMA = 2.2  # of sRGB, nearly
+EDGE = 0.55  # how much darker a drawn edge is
 SHOULDER = 0.3  # of the tone curve, at which bright spots roll off instead of burning out
 FADE = 0.85, 0.96  # where a bust begins to fade and is gone, parts of the height from above
 
@@ -332,12 +344,10 @@ def render(bodies: list[DrawnBody], camera: Camera, width: int, height: int) -> 
     high = height * SUPERSAMPLING
     image = np.full((high, wide, 3), BACKGROUND**GAMMA)
     for body in bodies:
-        seen = look(camera, body.drawn, wide, high)
-        colour, opacity = _shade(body, seen, camera)
-        mask = seen.mask
-        image[mask] += opacity * (colour - image[mask])
-    image = image.reshape(height, SUPERSAMPLING, width, SUPERSAMPLING, 3).mean(axis=(1, 3))
-    return np.asarray(np.clip(image, 0, 1) ** (1 / GAMMA), np.float32)
+        _draw(image, body, look(camera, body.drawn, wide, high), camera)
+    parts = [image[row::SUPERSAMPLING, column::SUPERSAMPLING] for row, column in SUBPIXELS]
+    mean = sum(parts[1:], parts[0]) / len(parts)
+    return np.asarray(np.clip(mean, 0, 1) ** (1 / GAMMA), np.float32)
 
 
 def render_bust(bodies: list[DrawnBody], camera: Camera, size: tuple[int, int]) -> Pixels:
@@ -350,29 +360,65 @@ def render_bust(bodies: list[DrawnBody], camera: Camera, size: tuple[int, int]) 
     return np.asarray(image * (1 - part) + BACKGROUND * part, np.float32)
 
 
-def _shade(body: DrawnBody, seen: Visible, camera: Camera) -> tuple[Pixels, Pixels]:
-    """Return linear colour (pixels, 3) and opacity (pixels, 1) of what is seen of a body."""
-    columns = [body.colour, body.lit.light, body.lit.normals, body.lit.surface.vertices]
-    albedo, light, normal, place = np.split(seen.interpolate(np.hstack(columns)), 4, axis=1)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-6
-    view = (camera.centre + camera.distance * camera.axes[2]).astype(np.float32) - place
-    view /= np.linalg.norm(view, axis=1, keepdims=True)
-    facing = np.abs(np.einsum("ij,ij->i", normal, view))[:, None]
-    colour = albedo * light
-    key = LAMPS[0][0] / np.linalg.norm(LAMPS[0][0])
-    half = view + key.astype(np.float32)
-    half /= np.linalg.norm(half, axis=1, keepdims=True)
-    shine = np.clip(np.einsum("ij,ij->i", normal, half), 0, 1)[:, None] ** 28
-    colour += body.gloss * shine * light
-    colour *= (1 + SHOULDER) / (1 + SHOULDER * colour)
+def _draw(image: Pixels, body: DrawnBody, seen: Visible, camera: Camera) -> None:
+    """Draw what is seen of a body over an ``image`` (h, w, 3) in linear colours."""
+    lit = body.lit
+    cover = np.ones(len(lit.normals)) if body.cover is None else body.cover
+    columns = [body.colour, lit.light, lit.normals, lit.surface.vertices, cover[:, None]]
+    edges = np.zeros((0, 0), np.float32)
     if body.edges:
-        colour *= 1 - 0.55 * _edge_strength(seen)
-    opacity = np.ones_like(facing)
-    if body.opacity < 1:
-        opacity = body.opacity + (1 - body.opacity) * (1 - facing) ** 2.5
-    if body.cover is not None:
-        opacity *= seen.interpolate(body.cover[:, None])
-    return colour, opacity
+        edges = np.zeros(seen.triangle.shape, np.float32)
+        edges[seen.mask] = _edge_strength(seen)[:, 0]
+    eye = camera.centre + camera.distance * camera.axes[2]
+    key = LAMPS[0][0] / np.linalg.norm(LAMPS[0][0])
+    values = np.hstack(columns).astype(np.float32)
+    pixels = seen.triangle, seen.weights, seen.faces
+    _shade(image, *pixels, values, eye, key, body.gloss, body.opacity, edges)
+
+
+@njit(cache=True, error_model="numpy")
+def _shade(
+    image: Pixels,
+    triangle: NDArray[np.int32],
+    weights: Pixels,
+    faces: Ints,
+    values: Pixels,
+    eye: Floats,
+    key: Floats,
+    gloss: float,
+    opacity: float,
+    edges: Pixels,
+) -> None:
+    """Draw over ``image`` what ``values`` (n, 13) of vertices make of every pixel.
+
+    They are colour, light, normal, place and cover; ``edges`` (h, w) is empty without any.
+    """
+    at = np.empty(values.shape[1])
+    for row in range(image.shape[0]):
+        for column in range(image.shape[1]):
+            face = triangle[row, column]
+            if face < 0:
+                continue
+            a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+            u, v, w = weights[row, column, 0], weights[row, column, 1], weights[row, column, 2]
+            for k in range(len(at)):
+                at[k] = u * values[a, k] + v * values[b, k] + w * values[c, k]
+            nx, ny, nz = at[6], at[7], at[8]
+            size = 1.0 / (math.sqrt(nx * nx + ny * ny + nz * nz) + 1e-6)
+            vx, vy, vz = eye[0] - at[9], eye[1] - at[10], eye[2] - at[11]
+            away = 1.0 / math.sqrt(vx * vx + vy * vy + vz * vz)
+            facing = abs(nx * vx + ny * vy + nz * vz) * size * away
+            hx, hy, hz = vx * away + key[0], vy * away + key[1], vz * away + key[2]
+            half = size / math.sqrt(hx * hx + hy * hy + hz * hz)
+            shine = gloss * min(max((nx * hx + ny * hy + nz * hz) * half, 0.0), 1.0) ** 28
+            there = at[12]
+            if opacity < 1.0:
+                there *= opacity + (1.0 - opacity) * max(1.0 - facing, 0.0) ** 2.5
+            dim = 1.0 - EDGE * edges[row, column] if len(edges) else 1.0
+            for k in range(3):
+                colour = (at[k] + shine) * at[3 + k]
+                colour *= dim * (1.0 + SHOULDER) / (1.0 + SHOULDER * colour)
+                image[row, column, k] += there * (colour - image[row, column, k])
 
 
 def _edge_strength(seen: Visible) -> Pixels:

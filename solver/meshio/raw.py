@@ -168,7 +168,9 @@ def mend(scan: RawScan) -> tuple[RawScan, Mending]:
         faces = faces[~flat]
         single, _ = alike(np.sort(faces, axis=1).astype(np.uint64))
         repeated = len(faces) - len(single)
-        faces, flipped = _wound_alike(faces[single])
+        faces = faces[single]
+        against = _run_against(faces)
+        faces[against] = faces[against][:, ::-1]
         used = np.zeros(len(kept), bool)
         used[faces] = True
         _, triangles_of_edge = np.unique(_edge_keys(faces, directed=False), return_counts=True)
@@ -178,7 +180,7 @@ def mend(scan: RawScan) -> tuple[RawScan, Mending]:
             repeated=repeated,
             unused=int((~used).sum()),
             non_manifold=int((triangles_of_edge > 2).sum()),
-            flipped=flipped,
+            flipped=int(against.sum()),
         )
         kept = kept[used]
         faces = (np.cumsum(used) - 1)[faces]
@@ -203,14 +205,12 @@ def _is_flat(vertices: Floats, faces: Ints) -> NDArray[np.bool_]:
     return np.asarray(double_area <= FLAT * (sides**2).sum(axis=2).max(axis=1))
 
 
-def _wound_alike(faces: Ints) -> tuple[Ints, int]:
-    """Return the triangles, those turned round that the most of their piece run against."""
+def _run_against(faces: Ints) -> NDArray[np.bool_]:
+    """Return which triangles run against the most of their piece."""
     directed = _edge_keys(faces, directed=True)
     if (np.diff(np.sort(directed)) > 0).all():  # neighbours run along their edge in opposite ways
-        return faces, 0
+        return np.zeros(len(faces), bool)
     wound, piece = igl.bfs_orient(faces)
-    wound = np.asarray(wound, np.int64)
-    turned = (wound != faces).any(axis=1)
-    against = (np.bincount(piece, turned) > 0.5 * np.bincount(piece))[piece]
-    wound[against] = wound[against][:, ::-1]
-    return wound, int((turned ^ against).sum())
+    turned = (np.asarray(wound) != faces).any(axis=1)
+    most = (np.bincount(piece, turned) > 0.5 * np.bincount(piece))[piece]
+    return np.asarray(turned ^ most)

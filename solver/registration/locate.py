@@ -125,7 +125,7 @@ def locate_face(
         pose = _search(face, samples, given, scan.mm_per_unit, upright)
     else:
         start = fit_similarity(*marks)
-        pose = refine_pose(face, samples, KDTree(samples.points), start, start.scale)
+        pose = refine_pose(face, samples, start, start.scale)
     motion = pose.motion
     certain = marks is not None
     about = around(motion(samples.points), surface, AROUND_FACE_MM)
@@ -195,7 +195,7 @@ def _judge_likeness(
     if is_face:
         return fitted, True
     points = face_points(Surface(fitted.vertices, face.faces))
-    again = judge_pose(points, samples, KDTree(samples.points), fitted.motion)
+    again = judge_pose(points, samples, fitted.motion)
     return fitted, again.cost < SECOND.likeness_cost
 
 

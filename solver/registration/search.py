@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from solver.anatomy.warp import spread
@@ -136,7 +135,6 @@ def find_pose(
     directions (3,) of up and forward, where they are known. The nose tip is put on the ``first``
     places, which stand out most of what is around them, or on the others.
     """
-    tree = KDTree(samples.points)
     few = face.take(search.sliding)
     batch = slice(search.first_tips) if first else slice(search.first_tips, search.most_tips)
     best = FacePose(Similarity(scales[0], np.eye(3), np.zeros(3)), np.inf, 0.0, np.inf)
@@ -145,19 +143,19 @@ def find_pose(
         _, number = cells(points, search.cell)
         places = mean_by_cell(points, number)
         normals = unit_rows(mean_by_cell(samples.normals, number))
-        cloud = _Cloud(places, normals, KDTree(places))
+        cloud = Samples(places, normals, samples.oriented)
         poses = _starts(face, cloud, batch, upright, search)
         if not len(poses.sizes):
             continue
         found: list[FacePose] = []
         for start in _improve(poses, face, cloud, search):
             motion = Similarity(start.scale * scale, start.rotation, start.shift)
-            found.append(refine_pose(few, samples, tree, motion, scale, BRIEF_REFINEMENT))
+            found.append(refine_pose(few, samples, motion, scale, BRIEF_REFINEMENT))
             if found[-1].is_good:
                 break
         found.sort(key=lambda pose: pose.cost)
         for pose in found[: search.finer]:
-            slid = refine_pose(face, samples, tree, pose.motion, scale)
+            slid = refine_pose(face, samples, pose.motion, scale)
             best = min(best, slid, key=lambda pose: pose.cost)
         if best.is_good:
             break
@@ -165,15 +163,6 @@ def find_pose(
 
 
 # The search: many rigid poses of the face on the scan at once.
-
-
-@dataclass(frozen=True)
-class _Cloud:
-    """A scan's evenly spaced ``points`` (n, 3) in mm, unit ``normals`` (n, 3) and ``tree``."""
-
-    points: Floats
-    normals: Floats
-    tree: KDTree
 
 
 @dataclass(frozen=True)
@@ -194,7 +183,7 @@ class _Poses:
 
 
 def _starts(
-    face: FacePoints, cloud: _Cloud, batch: slice, upright: Axes, options: SearchOptions
+    face: FacePoints, cloud: Samples, batch: slice, upright: Axes, options: SearchOptions
 ) -> _Poses:
     """Put the nose tip on a ``batch`` of places that stand out, with all turns about the normal."""
     first, _ = cells(cloud.points, options.tip_spacing)
@@ -235,7 +224,7 @@ def _keep_upright(poses: _Poses, upright: Axes, options: SearchOptions) -> _Pose
 
 
 def _improve(
-    poses: _Poses, face: FacePoints, cloud: _Cloud, options: SearchOptions
+    poses: _Poses, face: FacePoints, cloud: Samples, options: SearchOptions
 ) -> list[Similarity]:
     """Return the motions of the scan onto the face of the best poses after all stages."""
     for number, (points, steps, survivors) in enumerate(options.stages):
@@ -264,7 +253,7 @@ def _keep_apart(poses: _Poses, points: Floats, options: SearchOptions) -> _Poses
 
 
 def _match(
-    poses: _Poses, face: FacePoints, cloud: _Cloud, options: SearchOptions
+    poses: _Poses, face: FacePoints, cloud: Samples, options: SearchOptions
 ) -> tuple[Floats, Floats, Ints]:
     """Return the placed points (p, n, 3), their distances and the closest numbers (p, n).
 
@@ -280,7 +269,7 @@ def _match(
 
 
 def _step(
-    poses: _Poses, face: FacePoints, cloud: _Cloud, options: SearchOptions, *, sizes: bool
+    poses: _Poses, face: FacePoints, cloud: Samples, options: SearchOptions, *, sizes: bool
 ) -> _Poses:
     """Move every pose by the best motion of its closer points onto their closest ones.
 
@@ -313,18 +302,17 @@ def _step(
 def refine_pose(
     face: FacePoints,
     scan: Samples,
-    tree: KDTree,
     start: Similarity,
     size: float,
     options: RefinementOptions = REFINEMENT,
 ) -> FacePose:
     """Return the better of ``start`` and the pose after linearised steps with the scale.
 
-    The scale stays within the sizes of faces about ``size`` (mm per unit); ``tree`` is the scan's.
+    The scale stays within the sizes of faces about ``size`` (mm per unit).
     """
     motion = start
     for _ in range(options.steps):
-        gap, near = tree.query(motion.inverse()(face.points))
+        gap, near = scan.tree.query(motion.inverse()(face.points))
         matched = motion(scan.points[near])
         facing = np.abs((motion.turn(scan.normals[near]) * face.normals).sum(axis=1))
         used = (gap <= np.quantile(gap, options.kept)) & (facing > options.facing)
@@ -348,19 +336,15 @@ def refine_pose(
         motion = motion.then(about)
         if np.linalg.norm(about(face.points) - face.points, axis=1).max() < options.still:
             break
-    poses = (judge_pose(face, scan, tree, each, options) for each in (start, motion))
+    poses = (judge_pose(face, scan, each, options) for each in (start, motion))
     return min(poses, key=lambda pose: pose.cost)
 
 
 def judge_pose(
-    face: FacePoints,
-    scan: Samples,
-    tree: KDTree,
-    motion: Similarity,
-    options: RefinementOptions = REFINEMENT,
+    face: FacePoints, scan: Samples, motion: Similarity, options: RefinementOptions = REFINEMENT
 ) -> FacePose:
     """Return ``motion`` with how much of the face it finds in the scan, and how well that fits."""
-    gap, near = tree.query(motion.inverse()(face.points))
+    gap, near = scan.tree.query(motion.inverse()(face.points))
     facing = (motion.turn(scan.normals[near]) * face.normals).sum(axis=1)
     if not scan.oriented:
         facing = np.abs(facing)

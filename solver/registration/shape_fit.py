@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
-from scipy.spatial import KDTree
 
 from solver.anatomy.template import ShapeBasis
 from solver.registration.scan_surface import Samples, ScanSurface
@@ -95,10 +94,9 @@ def match_samples(scan: Samples, area: Floats) -> Match:
     Pairs lie along the model's normals; a model point weighs as much as its ``area`` (n,), and
     less with the distance, down to none at the reach (Tukey's biweight).
     """
-    tree = KDTree(scan.points)
 
     def match(motion: Similarity, points: Floats, normals: Floats, reach: float) -> Correspondences:
-        gap, near = tree.query(motion.inverse()(points))
+        gap, near = scan.tree.query(motion.inverse()(points))
         targets = motion(scan.points[near])
         facing = np.abs(np.einsum("nd,nd->n", motion.turn(scan.normals[near]), normals))
         weights = area / area.mean() * np.clip(1 - (gap * motion.scale / reach) ** 2, 0, 1) ** 2

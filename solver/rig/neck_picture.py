@@ -70,12 +70,15 @@ def draw_neck(
     width, height = options.cell
     extent = high - low
     span = options.room * float(max(extent[1], max(extent[0], extent[2]) * height / width))
-    cover = None if places is None else np.clip(places / options.fade, 0.0, 1.0)
     columns = []
     for shot in shots:
         inside = _inside(model, neck, shot, options)
         lit = head.lit(shot.skin)
-        skin = replace(head.body(lit, head.skin, opacity=options.opacity), cover=cover)
+        skin = head.body(lit, head.skin, opacity=options.opacity)
+        if places is not None:
+            cover = np.ones(len(lit.normals))  # of eyes and teeth, too
+            cover[: len(places)] = np.clip(places / options.fade, 0.0, 1.0)
+            skin = replace(skin, cover=cover)
         bodies = [inside, skin]
         images: list[Pixels] = [
             render(bodies, Camera((low + high) / 2.0, span, yaw), *options.cell)

@@ -138,7 +138,7 @@ def cover(scan: Samples, skin: Floats, template: Template, face: Surface) -> Cov
     points = samples.points[looked_for]
     normals = samples.normals[looked_for]
     area = float(igl.doublearea(skin, face.faces).sum() / 2) / COVER.points
-    tree = KDTree(scan.points)
+    tree = scan.tree
     spacing = float(np.median(tree.query(scan.points[::7], k=2)[0][:, 1]))
     gap = _sideways_gap(points, normals, _at_mouth(points, skin, template), tree)
     limit = max(COVER.least_gap, 4 * spacing)

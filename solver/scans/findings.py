@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from solver.anatomy.template import Template
 from solver.errors import MOST_NAMES, Finding, InputError, Severity, advise, count_words, quote
@@ -246,7 +245,7 @@ def landmark_findings(
     rest = template.skin.vertices[vertices]
     scale = fit_similarity(places, rest).scale
     unit = choose_unit(scale, given_unit(frame), scan.mm_per_unit)
-    gap = KDTree(samples.points).query(np.array(list(points.values())))[0] * unit.mm_per_unit
+    gap = samples.tree.query(np.array(list(points.values())))[0] * unit.mm_per_unit
     worst = int(np.argmax(gap))
     if gap[worst] <= OFF_SURFACE_MM:
         return [], (places, rest)
@@ -312,7 +311,7 @@ def winding_findings(
 def _share_inward(samples: Samples, face: FacePoints, place: Location) -> float:
     """Return the share of the face's points whose closest sample faces the other way."""
     there = samples.transform(place.pose.motion)
-    gap, near = KDTree(there.points).query(face.points)
+    gap, near = there.tree.query(face.points)
     facing = (there.normals[near] * face.normals).sum(axis=1)
     clear = facing[(gap < REFINEMENT.close) & (np.abs(facing) > REFINEMENT.facing)]
     return float((clear < 0).mean()) if len(clear) else 0.0

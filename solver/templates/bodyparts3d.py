@@ -188,7 +188,7 @@ def symmetric(parts: dict[str, AnatomicalPart]) -> dict[str, AnatomicalPart]:
 
 
 def _mirror_image(surface: Surface) -> Surface:
-    return Surface(reflect(surface.vertices), surface.faces[:, ::-1].copy())
+    return surface.with_vertices(reflect(surface.vertices)).flipped()
 
 
 def merge_parts(parts: dict[str, AnatomicalPart], *categories: str) -> Surface:

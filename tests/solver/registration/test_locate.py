@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from solver.anatomy.template import Template
@@ -156,7 +155,7 @@ def test_a_verdict_is_by_the_limits_that_are_given() -> None:
     here = Similarity(1.0, np.eye(3), np.zeros(3))
 
     def judge(options: RefinementOptions) -> tuple[bool, bool]:
-        pose = refine_pose(face, samples, KDTree(samples.points), here, 1.0, options)
+        pose = refine_pose(face, samples, here, 1.0, options)
         return pose.is_face, pose.is_good
 
     assert judge(RefinementOptions()) == (True, True)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from scipy.spatial import KDTree
 
 from solver.anatomy.embedding import barycentric
 from solver.anatomy.warp import spread
@@ -231,16 +230,15 @@ def _hand(motion: Similarity) -> Floats:
 
 def _onto(start: Similarity, points: Floats, skin: Samples) -> Similarity:
     """Return the motion after the markers slid onto the skin; the size stays."""
-    tree = KDTree(skin.points)
     session = start
     stiff = RefinementOptions(
         kept=0.85, sizes=(1.0, 1.0), least_points=LOCATE.least, close=LOCATE.off_skin, still=0.01
     )
     for _ in range(LOCATE.rounds):
         placed = session(points)
-        normals = skin.normals[tree.query(placed)[1]]
+        normals = skin.normals[skin.tree.query(placed)[1]]
         cloud = FacePoints(placed, normals, placed[0], normals[0])
-        back = refine_pose(cloud, skin, tree, IDENTITY, 1.0, stiff)
+        back = refine_pose(cloud, skin, IDENTITY, 1.0, stiff)
         session = session.then(back.motion.inverse())
     return session
 
