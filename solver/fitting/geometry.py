@@ -61,6 +61,9 @@ class GeometryOptions:
     w_b: float = 1e-6  # of the jaw
     stiffness: float = 30.0  # of a muscle that contracts, by that of the flesh around it
     first_iterations: int = 4  # of the activations alone, for the first poses
+    # by which what both sides do otherwise costs more while S is fitted: S makes sides alike, and
+    # poses of a face that is not pay for less
+    even: float = 4.0
     retries: int = 3  # of a round whose step is refused, each with more damping
     # where two rounds in turn gain less than this part of f, the fit goes on to the whole rounds,
     # or ends there
@@ -179,7 +182,8 @@ def fit(
         now, taken = _tighten(problem, now, options, listen)
         steps += taken
     found = face.with_weights(replace_values(face.S, now.values))
-    last = _regularisers(found, data, options, options.w_a[1], recruited, known)
+    settled = replace(options, even=1.0)
+    last = _regularisers(found, data, settled, options.w_a[1], recruited, known)
     return _finish(found, data, last, now.states, steps)
 
 
@@ -255,8 +259,8 @@ def _regularisers(
         expected = plain
         table = known.get(name, NOTHING)
         if name in recruited:
-            own = recruited[name].on(face)
-            expected = own.without(muscles.numbers(table)).regularise(plain)
+            own = recruited[name].on(face).without(muscles.numbers(table))
+            expected = replace(own, even=options.even * own.even).regularise(plain)
         found[name] = muscles.regularise(table, expected)
     return found
 

@@ -78,7 +78,7 @@ class RecruitmentOptions:
     price: float = 30.0  # by which w_a is greater than where nothing is known
     opposed: float = 10.0  # by which that of a muscle is greater that works against one called for
     called: float = 0.25  # amount of an expression from which its muscles are called for wholly
-    even: float = 400.0  # by which what both sides do otherwise costs more than w_a
+    even: float = 100.0  # by which what both sides do otherwise costs more than w_a
     strict: float = 8.0  # power of how alike sides are, for muscles that nothing calls for
     effort: float = 0.0  # slope of the price of contraction that nobody calls for, by w_a
     small: float = 0.02  # contraction below which that price is quadratic
