@@ -247,7 +247,8 @@ def test_a_session_goes_on_after_a_kill(
         face.stop()
         face.record("during")
         time.sleep(1)  # the take is stored with the next beat
-        sent = face.send([1, 2, 3])
+        [followed] = face.track([[1, 2, 3]])
+        sent = followed.number
         if what == "solver":
             [socket] = [face._socket]
             socket.send(json.dumps({"kill": True}))
