@@ -174,11 +174,9 @@ def fit(
         steps += taken
     if options.within is not None:
         face = face.driven_by(options.within)
-        problem = _problem(face, data, options, options.rounds - 1, structure, recruited, known)
-        # who pulls is told by the fibres of what S has come to
-        came = face.with_weights(replace_values(face.S, now.values))
-        priors = _regularisers(came, data, options, options.w_a[1], recruited, known)
-        problem = replace(problem, regularisers=priors)
+        newest = face.with_weights(replace_values(face.S, now.values))
+        number = options.rounds - 1
+        problem = _problem(face, data, options, number, structure, recruited, known, newest)
         now, taken = _tighten(problem, now, options, listen)
         steps += taken
     found = face.with_weights(replace_values(face.S, now.values))
@@ -235,11 +233,15 @@ def _problem(
     structure: sp.csr_array | None,
     recruited: Mapping[str, Recruited] = NOBODY,
     known: Mapping[str, KnownMuscles] = NOTHING_KNOWN,
+    newest: Face | None = None,
 ) -> GeometryProblem:
-    """Return the problem of round ``number`` (from 0); S of ``face`` is its prior."""
+    """Return the problem of round ``number`` (from 0); S of ``face`` is its prior.
+
+    Who pulls is told by the fibres of the ``newest`` S, by default that of ``face``.
+    """
     t = number / max(options.rounds - 1, 1)
     w_a, w_s = (first * (last / first) ** t for first, last in (options.w_a, options.w_s))
-    regularisers = _regularisers(face, data, options, w_a, recruited, known)
+    regularisers = _regularisers(newest or face, data, options, w_a, recruited, known)
     structure = sp.csr_array((0, face.S.nnz)) if structure is None else structure
     return GeometryProblem(face, data, regularisers, w_s, face.S.data, structure)
 

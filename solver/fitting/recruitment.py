@@ -48,7 +48,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -143,7 +142,7 @@ class Recruitment:
             [find_called(model.muscle_names, name) for name in names]
         ).swapaxes(0, 1)
         rest = model.skin.vertices[model.face]
-        priors = FibrePriors.of_face(face, chosen)
+        priors = FibrePriors.of_face(face, chosen.small, chosen.closers)
         mirrored = _mirror_numbers(names)
         return cls(motions, named, opposed, rest, mirrored, shown, priors, chosen)
 
@@ -302,19 +301,21 @@ class FibrePriors:
     closers: SilentClosers  # its weight by w_a
 
     @classmethod
-    def of_face(cls, face: Face, options: RecruitmentOptions) -> FibrePriors:
-        """Return those of a face's muscles, which are at rest and cost nothing yet."""
+    def of_face(cls, face: Face, small: float, closers: CloserOptions) -> FibrePriors:
+        """Return those of a face's muscles, which are at rest and cost nothing yet.
+
+        ``small`` is that of :class:`Effort`.
+        """
         tensors = fibre_tensors(face.model, face.flesh.volumes, face.S)
         fibred = np.flatnonzero(np.isfinite(tensors[:, 0, 0]))
-        effort = Effort.of_face(face, options.small)
-        closers = SilentClosers.of_face(face, options.closers)
+        effort = Effort.of_face(face, small)
+        silent = SilentClosers.of_face(face, closers)
         isochoric = IsochoricActivations.of(tensors[fibred])
-        return cls(fibred, isochoric, EvenSides.of_face(face), effort, closers)
+        return cls(fibred, isochoric, EvenSides.of_face(face), effort, silent)
 
     def on(self, face: Face) -> FibrePriors:
         """Return those of another face, by the same options."""
-        options = RecruitmentOptions(small=self.effort.small, closers=self.closers.options)
-        return FibrePriors.of_face(face, options)
+        return FibrePriors.of_face(face, self.effort.small, self.closers.options)
 
     def shortened(self, contraction: Floats) -> Floats:
         """Return the activations (m, 6) of muscles whose fibres have shortened, their volume kept.
@@ -385,12 +386,13 @@ class EvenSides(Prior):
 
     ``pairs`` (p, 2) are the numbers j, j' of their muscles, ``places`` (p, 12) those of a_j and
     a_j' among the controls. ``rows`` R (p, 7, 12) are the differences of their entries, mirrored,
-    and of their contractions.
+    and of their contractions, and ``squares`` (p, 12, 12) R_p^T R_p.
     """
 
     pairs: Ints
     places: Ints
     rows: Floats
+    squares: Floats
     weights: Floats  # (p,)
 
     @classmethod
@@ -403,7 +405,7 @@ class EvenSides(Prior):
         if face.contractions is not None:
             left, right = np.nan_to_num(face.contractions.rates)[pairs.T]
             rows[:, 6] = np.hstack([left, -right])
-        return cls(pairs, places, rows, np.ones(len(pairs)))
+        return cls(pairs, places, rows, rows.transpose(0, 2, 1) @ rows, np.ones(len(pairs)))
 
     @override
     def value(self, pose: Pose) -> float:
@@ -419,17 +421,12 @@ class EvenSides(Prior):
     @override
     def add_gauss_newton(self, pose: Pose, out: Floats) -> None:
         places = self.places
-        out[places[:, :, None], places[:, None, :]] += self.weights[:, None, None] * self._squares
+        out[places[:, :, None], places[:, None, :]] += self.weights[:, None, None] * self.squares
 
     def _differences(self, pose: Pose) -> Floats:
         """Return R_p (a_j, a_j') of every pair (p, 7)."""
         # at rest both sides are alike, and so the controls themselves will do
         return np.asarray(np.einsum("prk,pk->pr", self.rows, pose.vector()[self.places]))
-
-    @cached_property
-    def _squares(self) -> Floats:
-        """R_p^T R_p of every pair (p, 12, 12)."""
-        return np.asarray(self.rows.transpose(0, 2, 1) @ self.rows)
 
 
 def _least_amounts(root: Floats, slopes: Floats) -> Floats:

@@ -13,10 +13,11 @@ from solver.fitting.contraction import Contraction
 from solver.fitting.drives.admissible import Admissible
 from solver.fitting.drives.fibre_contraction import FibreContraction
 from solver.fitting.face import Face
+from solver.fitting.jaw_closers import CloserOptions
 from solver.fitting.known import FaceMuscles, KnownFit, compare_frames, find_disagreements
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.per_tet.tissue import of_face
-from solver.fitting.recruitment import FibrePriors, Recruited, RecruitmentOptions
+from solver.fitting.recruitment import FibrePriors, Recruited
 from solver.fitting.simplex import mix_by_stiffness
 from solver.fitting.stretches import isochoric_activation
 from solver.scans.known_activations import KnownMuscles
@@ -74,7 +75,7 @@ def test_a_whole_muscle_contracts_by_the_mean_over_its_compartments(face):
 
 
 def test_what_is_known_takes_the_place_of_what_is_expected(face):
-    priors = FibrePriors.of_face(face, RecruitmentOptions())
+    priors = FibrePriors.of_face(face, 0.02, CloserOptions())
     expected = Recruited(
         np.full((4, 1), 30.0), np.full(4, 0.1), np.full(2, 20.0), np.ones(4), priors
     )
