@@ -71,7 +71,10 @@ def _refuse_unread(kind: Kind, new: NewJob) -> None:
     for member, reads in (
         (
             "captures",
-            {"captures", "capture", "performance", "markers", "marker_set", "photos", "assets"},
+            {
+                *("captures", "own_scans", "capture", "performance", "markers", "marker_set"),
+                *("photos", "assets"),
+            },
         ),
         ("rig_id", {"rig", "any_rig"}),
     ):
@@ -176,7 +179,7 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
         files += _marker_files(session, new, most_takes=0).values()
     elif "photos" in kind.reads:
         files += _photos(session, new)
-    elif "captures" in kind.reads:
+    elif "captures" in kind.reads or ("own_scans" in kind.reads and new.captures):
         files += _expressions(session, new, model)
     elif "assets" in kind.reads:
         files += _assets(session, new)

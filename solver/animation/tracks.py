@@ -77,7 +77,7 @@ class PlayedShapes(ShapeDrives):
     Its first frame is at time 0; ``frames`` (f,) are the numbers of those that are played, those
     ``bridged`` (b,) are blended over. The gain is that of the weights. Raises :class:`InputError`:
     ``scene.shapes`` for a sequence of muscles and for what an entry asks of these,
-    ``sequence.shapes`` for other shapes than the tracks', ``scene.frames``, ``scene.bridges`` and
+    ``sequence.shapes`` for shapes that the tracks lack, ``scene.frames``, ``scene.bridges`` and
     ``sequence.values``.
     """
 
@@ -98,9 +98,8 @@ class PlayedShapes(ShapeDrives):
         if entry.muscles or entry.curve or entry.mask is not None:
             reason = "muscles, curve and mask are of muscles, and shapes drive the face"
             raise InputError("scene.shapes", f"the performance {entry.asset!r}: {reason}")
-        if other := sorted(set(sequence.shapes) ^ set(shapes.names)):
-            whose = "of the performance" if other[0] in sequence.shapes else "of the tracks"
-            reason = f"was fitted with other shapes: {quote(other[0])!r} is only one {whose}"
+        if other := sorted(set(sequence.shapes) - set(shapes.names)):
+            reason = f"was fitted with other shapes: the tracks have no {quote(other[0])!r}"
             message = f"the performance {entry.asset!r} {reason}"
             raise InputError("sequence.shapes", message, found=quote_names(other))
         played = sequence.between(entry.start, entry.end)
@@ -110,10 +109,12 @@ class PlayedShapes(ShapeDrives):
         left = played.part(kept)
         left.check_values()
         self.frames = left.frames
-        order = [sequence.shapes.index(name) for name in shapes.names]
-        jaw = left.controls[:, len(order) :]
+        weights, jaw = np.split(left.controls, [len(sequence.shapes)], axis=1)
+        order = [shapes.names.index(name) for name in sequence.shapes]
+        placed = np.zeros((len(weights), len(shapes.names)))  # later tracks may have more shapes
+        placed[:, order] = entry.gain * weights
         self._start, turns, moves = played_head(left.head, self._neck, entry)
-        values = np.hstack([entry.gain * left.controls[:, order], jaw, turns, moves])
+        values = np.hstack([placed, jaw, turns, moves])
         name = f"performance {entry.asset}"
         self._track = track(self.times[kept].tolist(), values, name, interpolation)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,11 @@ import numpy as np
 from solver.anatomy.template import CORRECTED
 from solver.anatomy.tetrahedra import volumes
 from solver.errors import SolveError
-from solver.jobs import Task, read_template
+from solver.fitting.target_checks import before_fit
+from solver.jobs import Task, fits, read_template
 from solver.kinds.build_tracks import BuildTracks
 from solver.mechanics.linear import fastest
+from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
 from solver.progress import ProgressCallback, Step
 from solver.rig.pictures import TrackShot, tracks_picture
@@ -23,49 +26,57 @@ from solver.storage import write_json
 from solver.surface import Floats
 from solver.tracks.basis import MuscleTracks, TrackOptions, TrackTargets
 from solver.tracks.face import TrackFace, track_potentials
+from solver.tracks.own_shapes import PREFIX, OwnShapes, with_own_shapes
 from solver.tracks.shapes import template_shapes
 
 
 @dataclass(frozen=True)
 class ShownOptions:
-    """Shapes that are tried on the flesh and drawn: those that move the face most."""
+    """Shapes that are tried on the flesh and drawn."""
 
-    count: int = 4
+    count: int = 4  # of the template's: those that move the face most
+    own: int = 4  # scans, at most
 
 
 def run(task: Task[BuildTracks]) -> list[Path]:
-    """Carry a template's expressions into a model's flesh, and try those that move it most.
+    """Carry expressions into a model's flesh, and try those that move it most.
 
-    Raises :class:`~solver.errors.InputError`: ``tracks.*``, and as the files' readers.
+    They are the template's, and what these leave of the person's own scans, if there are any.
+    Raises :class:`~solver.errors.InputError`: ``tracks.*``, ``scan.*``, and as the files' readers.
     """
     given = task.options
     progress = task.progress
     progress(Step("read", 0.0, message=task.inputs["model"].name))
     model = SubjectModel.load(task.inputs["model"])
     shapes = template_shapes(model, read_template(task).shapes)
+    scans = fits.read_scans(model, task.captures) if task.captures else {}
+    odd = before_fit(model, scans)
+    fits.WarningLog(model, progress).warn(0.05, odd)
     progress(Step("tracks", 0.1))
     options = TrackOptions(given.bones, given.length_mm, given.stiffness, given.law)
     begun = time.perf_counter()
     tracks = MuscleTracks.of(model, shapes, options)
     seconds = time.perf_counter() - begun
+    own = with_own_shapes(model, tracks, scans)
     files = [task.out / name for name in ("tracks.npz", "tracks.json", "tracks.png")]
-    tracks.save(files[0])
-    shots = _try(model, tracks, shapes, progress)
-    write_json(files[1], {**_figures(model, tracks, shots), "precompute_s": round(seconds, 2)})
+    own.tracks.save(files[0])
+    shots = _try(model, own.tracks, _shown(model, shapes, scans), progress)
+    figures = _figures(model, own, shots)
+    notices = [*figures["notices"], *(each.message for each in odd)]
+    write_json(files[1], {**figures, "notices": notices, "precompute_s": round(seconds, 2)})
     progress(Step("pictures", 0.95))
     tracks_picture(model, shots, files[2])
     progress(Step("done", 1.0))
     return files
 
 
-def _try(
+def _shown(
     model: SubjectModel,
-    tracks: MuscleTracks,
     shapes: Mapping[str, Floats],
-    progress: ProgressCallback,
+    scans: Mapping[str, RegisteredScan],
     options: ShownOptions = ShownOptions(),
-) -> list[TrackShot]:
-    """Go from rest to each of the shapes that move the face most, one of a pair."""
+) -> dict[str, Floats]:
+    """Return the skins (V, 3) of what is tried, by the shape's name: one of a pair, and scans."""
     moved = {
         name: float(np.linalg.norm(motion[model.face], axis=1).mean())
         for name, motion in shapes.items()
@@ -75,14 +86,26 @@ def _try(
     for name in sorted(moved, key=lambda each: -moved[each]):
         chosen.setdefault(name.removesuffix("Left").removesuffix("Right"), name)
     names = list(chosen.values())[: options.count]
+    own = islice(scans.items(), options.own)
+    return {name: model.skin.vertices + shapes[name] for name in names} | {
+        PREFIX + name: scan.vertices for name, scan in own
+    }
+
+
+def _try(
+    model: SubjectModel,
+    tracks: MuscleTracks,
+    shown: Mapping[str, Floats],
+    progress: ProgressCallback,
+) -> list[TrackShot]:
+    """Go from rest to each of the skins that are ``shown``."""
     face = TrackFace(model, tracks, track_potentials(model), linear=fastest())
     rest = face.rest()
     shots = []
-    for number, name in enumerate(names):
-        progress(Step("try", 0.2 + 0.7 * number / len(names), number, message=name))
-        target = model.skin.vertices + shapes[name]
+    for number, (name, target) in enumerate(shown.items()):
+        progress(Step("try", 0.2 + 0.7 * number / len(shown), number, message=name))
         try:
-            state = face.move(rest, tracks.controls({name: 1.0}))
+            state = face.move(rest, tracks.whole(name))
         except SolveError as error:
             progress(Step("warning", 0.2, message=f"{name} alone comes to no rest: {error}"))
             shots.append(TrackShot(name, target, None, 0))
@@ -91,20 +114,22 @@ def _try(
     return shots
 
 
-def _figures(model: SubjectModel, tracks: MuscleTracks, shots: list[TrackShot]) -> dict[str, Any]:
+def _figures(model: SubjectModel, own: OwnShapes, shots: list[TrackShot]) -> dict[str, Any]:
+    tracks = own.tracks
     targets = TrackTargets(model, tracks)
     shapes = []
     for number, name in enumerate(tracks.names):
-        pose = targets.at(tracks.controls({name: 1.0}))
-        shapes.append(
-            {
-                "name": name,
-                "jaw": tracks.jaw[number].round(5).tolist(),
-                "teeth_mm": round(float(tracks.teeth_mm[number]), 4),
-                "off_mm": round(float(tracks.off_mm[number]), 4),
-                "turned_tets": _count_inverted(model, pose.target),
-            }
-        )
+        pose = targets.at(tracks.whole(name))
+        shape = {
+            "name": name,
+            "jaw": tracks.jaw[number].round(5).tolist(),
+            "teeth_mm": round(float(tracks.teeth_mm[number]), 4),
+            "off_mm": round(float(tracks.off_mm[number]), 4),
+            "turned_tets": _count_inverted(model, pose.target),
+        }
+        if name in own.left_mm:
+            shape |= {"on_top_of": _sum_of(tracks, number), "left_mm": own.left_mm[name]}
+        shapes.append(shape)
     lengths = tracks.lines.lengths(model.rest)
     points = np.diff(tracks.lines.first)
     muscles = [
@@ -126,6 +151,12 @@ def _figures(model: SubjectModel, tracks: MuscleTracks, shots: list[TrackShot]) 
         "tried": [shot.figures(model.face) for shot in shots],
         "notices": list(tracks.notices),
     }
+
+
+def _sum_of(tracks: MuscleTracks, number: int) -> dict[str, float]:
+    """Return the weights of the shapes that one of a person's own is on top of, by their names."""
+    weights = zip(tracks.names, tracks.sums[number].round(4).tolist(), strict=True)
+    return {name: weight for name, weight in weights if weight}
 
 
 def _count_inverted(model: SubjectModel, x: Floats) -> int:

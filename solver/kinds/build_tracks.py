@@ -2,6 +2,8 @@
 
 Carries the template's expressions into the flesh of a subject's model, once: scenes and recordings
 then drive the face by the weights of these shapes, without a rig's expressions solved first.
+Registered scans that are chosen become shapes of the subject's own: what the best sum of the
+template's shapes leaves of each.
 """
 
 from typing import Annotated, Literal
@@ -40,7 +42,7 @@ class BuildTracks(JobOptions):
 
 KIND = Kind(
     queue="short",
-    reads=("model", "template"),
+    reads=("model", "template", "own_scans"),
     leaves="tracks",
     result="tracks.npz",
     hands_on=("tracks.npz",),

@@ -66,6 +66,9 @@ INPUTS: Mapping[str, Input] = {
         (_option("neutral", "of an expression: registered neutral"),),
     ),
     "captures": Input((InputPart("scans", "expression scans", form="files", is_needed=True),)),
+    "own_scans": Input(
+        (InputPart("scans", "expression scan, as a shape; repeatable", form="files"),)
+    ),
     "performance": Input(
         (_given("performance", "frames (.npy), or a folder of registered scans", "file or folder"),)
     ),

@@ -65,7 +65,8 @@ class Kind:
     reads
         Its inputs. A service looks them up at submission: ``capture`` is one scan as it was
         uploaded, with its landmarks; ``neutral`` and ``captures`` are registered scans, the
-        subject's neutral and chosen expressions; ``performance`` is one capture of that role,
+        subject's neutral and chosen expressions, ``own_scans`` the same where none need be
+        chosen; ``performance`` is one capture of that role,
         ``markers`` a take of them with the session's marker set, if there is one, ``activations``
         a table of what is known of single muscles beside them, if there is one, ``photos`` up to
         sixteen photographs with what is known of each, or a film, ``assets`` any

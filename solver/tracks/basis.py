@@ -16,8 +16,8 @@ morphs, and one factorisation has them all.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal, get_args
@@ -36,7 +36,7 @@ from solver.model import SubjectModel, by_muscle, find_muscles, tell_muscles
 from solver.storage import Archive, Arrays, csr_arrays, csr_from
 from solver.surface import Floats
 from solver.tracks.lines import CentreLines
-from solver.tracks.shapes import JawFreeShapes, skinning_weights
+from solver.tracks.shapes import JawFreeShapes, ShapeOnTop, skinning_weights
 
 Bones = Literal["free", "held"]
 FORMAT = FILES["tracks.npz"].format
@@ -80,6 +80,8 @@ class MuscleTracks:
     firmness: float
     teeth_mm: Floats  # (K,) what the jaw's motion misses of the lower teeth, root mean square
     off_mm: Floats  # (K,) what the morph misses of the skin's shape, on average
+    # (K, K) weights of the shapes that each of a person's own is on top of; zero for the template's
+    sums: Floats
     notices: tuple[str, ...] = ()
 
     @classmethod
@@ -95,26 +97,16 @@ class MuscleTracks:
         ``tracks.muscle`` and ``tracks.options`` for options that do not fit.
         """
         stiffness = _check_options(model, options)
-        gradients, volumes = shape_gradients(model.rest, model.tets)
-        matrix = laplacian(gradients, volumes, model.tets, len(model.rest))
-        skinning = skinning_weights(model, matrix)
-        free = JawFreeShapes.of(model, shapes, skinning)
-        given = np.zeros(len(model.rest), dtype=bool)
-        if options.bones == "held":
-            for held in (model.cranium, model.mandible, model.cut):
-                given[held] = True
-        weights = np.full(len(model.embedded), options.skin_weight * matrix.diagonal().mean())
-        carry = HarmonicExtension(matrix, given, model.embedding, weights, trace=1e-9)
-        nothing = np.zeros((len(model.rest), 3, len(free.names)))
-        morphs = carry(nothing, targets=free.motions.transpose(1, 2, 0)).transpose(2, 0, 1)
-        on_skin = model.embedding @ morphs.transpose(1, 0, 2).reshape(len(model.rest), -1)
-        missed = on_skin.reshape(len(model.embedded), -1, 3) - free.motions.transpose(1, 0, 2)
+        morphing = _Morphing(model, options)
+        free = JawFreeShapes.of(model, shapes, morphing.skinning)
+        morphs, missed = morphing(free.motions)
+        count = len(free.names)
         return cls(
             model.sha256,
             free.names,
             free.jaw,
-            np.ascontiguousarray(morphs),
-            skinning,
+            morphs,
+            morphing.skinning,
             CentreLines.of(model),
             stiffness,
             options.bones,
@@ -122,8 +114,26 @@ class MuscleTracks:
             options.law,
             options.firmness,
             free.teeth_mm,
-            np.linalg.norm(missed, axis=2).mean(axis=0),
+            missed,
+            np.zeros((count, count)),
             free.notices,
+        )
+
+    def with_shapes(self, model: SubjectModel, more: Sequence[ShapeOnTop]) -> MuscleTracks:
+        """Return the tracks of a model with further shapes, each on top of a sum of these."""
+        morphing = _Morphing(model, TrackOptions(self.bones))
+        carried = [morphing(each.motion[None], each.confidence) for each in more]
+        count = len(self.names)
+        sums = np.pad(self.sums, (0, len(more)))
+        sums[count:, :count] = [each.weights for each in more]
+        return replace(
+            self,
+            names=(*self.names, *(each.name for each in more)),
+            jaw=np.vstack([self.jaw, *(each.jaw for each in more)]),
+            morphs=np.concatenate([self.morphs, *(morph for morph, _ in carried)]),
+            teeth_mm=np.pad(self.teeth_mm, (0, len(more))),
+            off_mm=np.concatenate([self.off_mm, *(missed for _, missed in carried)]),
+            sums=sums,
         )
 
     @property
@@ -146,6 +156,15 @@ class MuscleTracks:
             q[self.names.index(name)] = weight
         if jaw is not None:
             q[len(self.names) :] = jaw
+        return q
+
+    def whole(self, name: str) -> Floats:
+        """Return q (K + 5,) of a shape at weight 1 with the sum that it is on top of.
+
+        Of a person's own shape that is the scan. Raises as :meth:`controls`.
+        """
+        q = self.controls({name: 1.0})
+        q[: len(self.names)] += self.sums[self.names.index(name)]
         return q
 
     def check_controls(self, q: Floats) -> None:
@@ -173,6 +192,7 @@ class MuscleTracks:
         arrays: Arrays = {name: getattr(self, name) for name in ARRAYS}
         arrays |= csr_arrays("line_rows", self.lines.rows)
         arrays |= {"line_first": self.lines.first, "line_closed": self.lines.closed}
+        arrays["sums"] = self.sums
         header = {
             "format": FORMAT,
             "units": "mm, rad",
@@ -207,6 +227,8 @@ class MuscleTracks:
                 law=header["law"],
                 firmness=float(header["firmness"]),
                 notices=tuple(header["notices"]),
+                # files of before there were a person's own shapes have none
+                sums=data.get("sums", np.zeros((len(header["names"]),) * 2)),
                 **{name: data[name] for name in ARRAYS},
             )
         except (LookupError, TypeError, ValueError) as error:
@@ -214,6 +236,41 @@ class MuscleTracks:
             raise InputError("tracks.unreadable", message, file=path.name) from error
         tracks.check(model)
         return tracks
+
+
+class _Morphing:
+    """Carries motions of a model's skin into its flesh, with the jaw's skinning weights o (p,)."""
+
+    def __init__(self, model: SubjectModel, options: TrackOptions) -> None:
+        gradients, volumes = shape_gradients(model.rest, model.tets)
+        self._matrix = laplacian(gradients, volumes, model.tets, len(model.rest))
+        self._model = model
+        self._weight = options.skin_weight * self._matrix.diagonal().mean()
+        self._given = np.zeros(len(model.rest), dtype=bool)
+        if options.bones == "held":
+            for held in (model.cranium, model.mandible, model.cut):
+                self._given[held] = True
+
+    @cached_property
+    def skinning(self) -> Floats:
+        """The weights o."""
+        return skinning_weights(self._model, self._matrix)
+
+    def __call__(self, motions: Floats, trust: Floats | None = None) -> tuple[Floats, Floats]:
+        """Return X (n, p, 3) of ``motions`` B (n, e, 3), and what they miss of them (n,), mm.
+
+        ``trust`` (e,) are factors on the weight of the skin, 0 where nothing is asked for.
+        """
+        embedding = self._model.embedding
+        factors = np.ones(len(self._model.embedded)) if trust is None else trust
+        parts = self._matrix, self._given, embedding, self._weight * factors
+        carry = HarmonicExtension(*parts, trace=1e-9)
+        nothing = np.zeros((len(self._model.rest), 3, len(motions)))
+        by_vertex = carry(nothing, targets=motions.transpose(1, 2, 0))
+        on_skin = embedding @ by_vertex.reshape(len(by_vertex), -1)
+        missed = on_skin.reshape(len(factors), 3, -1).transpose(2, 0, 1) - motions
+        off = np.linalg.norm(missed, axis=2) @ factors / factors.sum()
+        return np.ascontiguousarray(by_vertex.transpose(2, 0, 1)), off
 
 
 def _check_options(model: SubjectModel, options: TrackOptions) -> Floats:

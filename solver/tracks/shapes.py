@@ -131,6 +131,17 @@ class JawFreeShapes:
 
 
 @dataclass(frozen=True)
+class ShapeOnTop:
+    """A shape without its jaw that counts from a sum of K others."""
+
+    name: str
+    weights: Floats  # (K,) of that sum
+    jaw: Floats  # (5,) b on top of the sum's, rad and mm
+    motion: Floats  # (e, 3) B, mm
+    confidence: Floats  # (e,) of the motion, within 0 and 1; 0 where it is not known
+
+
+@dataclass(frozen=True)
 class _JawSplit:
     """Splits shapes into the jaw's motion, by the skin vertices ``teeth``, and what is left."""
 
@@ -151,7 +162,7 @@ class _JawSplit:
             b = nearest_jaw(jaw, teeth, goal, b)
         left = np.sqrt(((jaw.move(teeth, b) - goal) ** 2).sum() / max(len(teeth), 1))
         target = start + motion[self.model.embedded]
-        return b, _before_skinning(target, self.on_skin, jaw.matrix(b)) - start, float(left)
+        return b, before_skinning(target, self.on_skin, jaw.matrix(b)) - start, float(left)
 
 
 def _teeth(model: SubjectModel, on_skin: Floats, options: ShapeOptions) -> tuple[Ints, list[str]]:
@@ -165,7 +176,7 @@ def _teeth(model: SubjectModel, on_skin: Floats, options: ShapeOptions) -> tuple
     return chin[:0], ["the model has no lower teeth: shapes are taken as without the jaw"]
 
 
-def _before_skinning(target: Floats, weights: Floats, motion: Floats) -> Floats:
+def before_skinning(target: Floats, weights: Floats, motion: Floats) -> Floats:
     """Return the y (e, 3) that skinning with ``weights`` (e,) and a jaw (4, 4) takes to targets."""
     share = weights[:, None, None]
     blended = (1.0 - share) * np.eye(3) + share * motion[:3, :3]
