@@ -57,7 +57,7 @@ def run(task: Task[BuildTracks]) -> list[Path]:
     begun = time.perf_counter()
     tracks = MuscleTracks.of(model, shapes, options)
     seconds = time.perf_counter() - begun
-    own = with_own_shapes(model, tracks, scans)
+    own = with_own_shapes(model, tracks, scans) if scans else OwnShapes(tracks, {})
     files = [task.out / name for name in ("tracks.npz", "tracks.json", "tracks.png")]
     own.tracks.save(files[0])
     shots = _try(model, own.tracks, _shown(model, shapes, scans), progress)

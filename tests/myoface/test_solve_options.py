@@ -48,6 +48,7 @@ ASKED: Mapping[str, list[tuple[list[str], dict[str, str]]]] = {
     "wrinkles": [(["--wrinkle", "smile=wrinkles.png"], {})],
     "tracks": [(["--tracks", "tracks.npz"], {"tracks": "tracks.npz"})],
     "start": [(["--start", "rig.npz"], {"start": "rig.npz"})],
+    "own_scans": [(["--scans", "smile.obj"], {})],
     "assets": [(["--asset", "soft=map.npy"], {})],
     "sequences": [],
     "photos": [
@@ -176,6 +177,8 @@ def test_an_input_reaches_the_job_by_its_role(
     assert task.inputs == {**plain.inputs, **{role: Path(name) for role, name in files.items()}}
     if "--asset" in words:
         assert task.captures == {"soft": Path("map.npy")}
+    if "--scans" in words:
+        assert task.captures == {"smile": Path("smile.obj")}
     for flag, found, file in (
         ("--photo", task.captures, "face.jpg"),
         ("--wrinkle", task.captures, "wrinkles.png"),

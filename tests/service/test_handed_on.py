@@ -345,6 +345,18 @@ def test_normals_of_the_neutral_are_found_and_wrinkles_are_named(session: Sessio
     assert session.sources(job)["asset"] == moved
 
 
+def test_tracks_are_built_with_the_registered_scans_that_are_named(session: Session) -> None:
+    smile = session.studio.capture(session.subject, "own-smile", registered=True)
+    job = session.studio.submit("build_tracks", session.subject, captures=[smile])
+    assert session.sources(job)["capture"] == smile
+    plain = session.studio.submit("build_tracks", session.subject)
+    assert "capture" not in session.sources(plain)
+    raw = session.studio.raw(session.subject, "own-raw", role="expression")
+    refused = session.ask("build_tracks", rig_id=None, captures=[raw])
+    assert refused.status_code == 409
+    assert "register it first" in refused.text
+
+
 def test_tracks_of_the_rig_s_model_are_found_by_its_scenes(session: Session) -> None:
     rig = session.add_rig()
     tracks = session.studio.submit("build_tracks", session.subject)

@@ -1,6 +1,7 @@
 """The job that builds muscle tracks: its files, and what is told of shapes and muscles."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,10 @@ import pytest
 from solver.anatomy.template import ShapeBasis
 from solver.errors import InputError
 from solver.jobs import build_tracks, run_job
+from solver.meshio import registered
+from solver.meshio.registered import write_registered
 from solver.model import SubjectModel
+from solver.surface import Surface
 from solver.tracks.basis import MuscleTracks
 from tests.solver.tracks.block import block_shapes, tracked_block
 
@@ -43,6 +47,27 @@ def test_it_leaves_tracks_their_figures_and_a_picture(tmp_path, model_file):
     assert {shape["name"] for shape in told["tried"]} == set(tracks.names)
     assert all(shape["reached"] and shape["inverted"] == 0 for shape in told["tried"])
     assert files[2].read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.long
+def test_scans_become_shapes_on_top_of_the_template_s(tmp_path, model_file, monkeypatch):
+    monkeypatch.setattr(registered, "PLAUSIBLE", replace(registered.PLAUSIBLE, head_mm=(10, 700)))
+    model = SubjectModel.load(model_file)
+    skin = model.skin.vertices.copy()
+    skin += 0.5 * block_shapes(model)["aside"]
+    skin[model.face[:4], 2] += 0.5
+    scan = tmp_path / "aside.ply"
+    write_registered(scan, Surface(skin, model.skin.faces), np.ones(len(skin)))
+    files = run_job(
+        "build_tracks", tmp_path / "out", model=model_file, captures={"aside": scan}, options={}
+    )
+    assert MuscleTracks.load(files[0], model).names[-1] == "own_aside"
+    told = json.loads(files[1].read_text())
+    shape = told["shapes"][-1]
+    assert shape["name"] == "own_aside"
+    assert shape["on_top_of"]["aside"] == pytest.approx(0.5, abs=0.2)
+    assert 0.0 < shape["left_mm"] < 0.5
+    assert "own_aside" in {shape["name"] for shape in told["tried"]}
 
 
 def test_shapes_that_turn_flesh_inside_out_are_told_and_kept(tmp_path, model_file, monkeypatch):

@@ -69,7 +69,9 @@ class SubjectView {
     this.showRigs = keyed(this.rigBody, (rig) => this.rigRow(rig));
     this.model = h("p", { class: "grow" });
     this.build = button("Build the model", () => this.order("build_model"));
-    this.tracks = button("Build tracks", () => this.order("build_tracks"));
+    this.tracks = button("Build tracks", () =>
+      this.order("build_tracks", { captures: this.chosenOf("expression") }),
+    );
     this.fit = button("Fit the chosen expressions", () =>
       this.order("fit_geometry", { captures: this.chosenOf("expression", "activations") }),
     );
@@ -165,6 +167,7 @@ class SubjectView {
     const why = expressions ? null : "Choose expressions in the list of scans first";
     refuse(this.fit, why);
     setText(this.fit, expressions ? `Fit ${count(expressions, "expression")}` : "Fit the chosen expressions");
+    setText(this.tracks, `Build tracks${expressions ? ` with ${count(expressions, "expression")}` : ""}`);
     for (const more of this.rigBody.querySelectorAll("button[data-more]")) refuse(more, why);
     const photos = [[...this.captures.values()], this.chosenOf("photo")];
     for (const estimate of this.estimates) refuse(estimate, whyNoPhotos(...photos));
