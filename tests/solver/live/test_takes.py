@@ -4,16 +4,18 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
+from solver.live.sent import SentModes
 from solver.live.takes import PART, TakeWriter, check_name, file_name, finish_part
 from solver.live.weights import LiveWeights
 from solver.scans.markers.readers.take import read_take
 from solver.scans.performance import ARKIT_NAMES, read_live_link
 
+MODES = SentModes({"model": "a", "weights": "b"}, np.zeros((2, 5, 3), np.float16))
 TIMES = 100.0 + np.array([0, 1, 2, 5, 6, 6, 7]) / 60
 
 
 def record(folder, source, labels, frames):
-    writer = TakeWriter(folder, "one", source, labels, frames.shape[1:])
+    writer = TakeWriter(folder, "one", source, labels, frames.shape[1:], MODES)
     for seconds, numbers in zip(TIMES, frames, strict=True):
         writer.add(seconds, numbers)
     return writer.finish()
@@ -55,7 +57,7 @@ def test_points_are_left_as_an_array(tmp_path):
 
 
 def test_a_take_whose_process_died_is_finished_by_its_part(tmp_path):
-    writer = TakeWriter(tmp_path, "two", "points", [], (4, 3))
+    writer = TakeWriter(tmp_path, "two", "points", [], (4, 3), MODES)
     for number in range(3):
         writer.add(number / 30, np.full((4, 3), number, np.float32))
     writer._stream.write(b"half of a frame")
@@ -67,7 +69,7 @@ def test_a_take_whose_process_died_is_finished_by_its_part(tmp_path):
 
 
 def test_a_take_without_frames_leaves_nothing(tmp_path):
-    assert TakeWriter(tmp_path, "none", "weights", [], (61, 1)).finish() is None
+    assert TakeWriter(tmp_path, "none", "weights", [], (61, 1), MODES).finish() is None
     assert not list(tmp_path.iterdir())
 
 
