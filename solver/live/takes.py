@@ -172,18 +172,14 @@ def _leave_sent(
     take: Path, header: Mapping[str, Any], recorded: NDArray[np.void], rows: NDArray[np.int64]
 ) -> None:
     """Leave what was sent of a take; ``rows`` (f,) of what was recorded are its frames, or -1."""
-    sent = (rows >= 0) & np.isfinite(recorded["amounts"][rows]).all(axis=1)
-    known = recorded["told"][np.isfinite(recorded["told"]).all(axis=1)]
+    amounts = recorded["amounts"][rows]
+    sent = (rows >= 0) & np.isfinite(amounts).all(axis=1)
+    known = recorded["told"][np.isfinite(recorded["told"]).all(axis=1)].astype(np.float64)
     told: list[float | None] = known[-1].round(4).tolist() if len(known) else [None, None]
     with take.open("rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    left = SentTake(
-        header["name"],
-        digest,
-        dict(zip(TOLD, told, strict=True)),
-        np.flatnonzero(sent),
-        recorded["amounts"][rows[sent]],
-    )
+    error = dict(zip(TOLD, told, strict=True))
+    left = SentTake(header["name"], digest, error, np.flatnonzero(sent), amounts[sent])
     write_takes(part_of(take), header["of"], [left])
 
 
