@@ -90,7 +90,8 @@ def write_takes(
     arrays = dict(more)
     for number, each in enumerate(takes):
         arrays |= {f"frames_{number}": each.frames, f"amounts_{number}": each.amounts}
-    Archive({"format": FORMAT, "of": dict(of), "takes": told}, arrays).write(path)
+    # amounts hardly get smaller by packing, and a session is to end at once
+    Archive({"format": FORMAT, "of": dict(of), "takes": told}, arrays).write(path, packed=False)
 
 
 def read_takes(path: Path) -> tuple[Archive, list[SentTake]]:
@@ -101,7 +102,7 @@ def read_takes(path: Path) -> tuple[Archive, list[SentTake]]:
     archive = Archive.read(path, "live_takes", "what a live session sent of its takes", FORMAT)
     try:
         takes = [_take_of(archive, *each) for each in enumerate(archive.header["takes"])]
-    except (LookupError, TypeError, ValueError) as error:
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
         message = f"{path.name} is not what a live session sent of its takes: {error}"
         raise InputError("live_takes.unreadable", message, file=path.name) from error
     return archive, takes
@@ -110,7 +111,8 @@ def read_takes(path: Path) -> tuple[Archive, list[SentTake]]:
 def _take_of(archive: Archive, number: int, told: Mapping[str, Any]) -> SentTake:
     frames = archive.arrays[f"frames_{number}"]
     amounts = archive.arrays[f"amounts_{number}"]
-    if frames.dtype.kind not in "iu" or amounts.shape[:1] != frames.shape or amounts.ndim != 2:
+    is_plain = frames.dtype.kind in "iu" and amounts.dtype == AMOUNT and amounts.ndim == 2
+    if not is_plain or amounts.shape[:1] != frames.shape:
         raise ValueError(f"the take {number} has other arrays than a number and amounts a frame")
     if not np.isfinite(amounts).all():
         raise ValueError(f"the take {number} has amounts that are no numbers")
@@ -148,7 +150,7 @@ def _takes_of(path: Path, modes: SentModes) -> list[SentTake]:
     except InputError as error:
         log.warning("sent.unreadable", file=path.name, error=error.message)
         return []
-    return takes if archive.header["of"] == modes.identity else []
+    return takes if archive.header.get("of") == modes.identity else []
 
 
 class SentFaces:
@@ -185,7 +187,7 @@ class SentFaces:
             raise InputError("live_takes.take", message, **about)
         basis = archive.arrays.get("basis", np.zeros(0))
         size = (found.amounts.shape[1], *rest.shape)
-        if basis.dtype.kind != "f" or basis.shape != size or not np.isfinite(basis).all():
+        if basis.dtype != AMOUNT or basis.shape != size or not np.isfinite(basis).all():
             message = f"{path.name} has no modes of the face that its amounts are of"
             raise InputError("live_takes.unreadable", message, file=path.name)
         return cls(found, basis, rest)

@@ -199,8 +199,11 @@ def test_files_that_are_not_the_takes_are_refused(
     assert refused({"of": {**archive.header["of"], "weights": "another"}}) == "live_takes.rig"
     assert refused({"takes": [{**take, "sha256": "another"}]}) == "live_takes.take"
     assert refused({}, frames_0=np.zeros(1, np.int64)) == "live_takes.unreadable"
-    assert refused({}, amounts_0=np.full((4, 52), np.nan)) == "live_takes.unreadable"
-    assert refused({}, basis=np.zeros((1, 2, 3))) == "live_takes.unreadable"
+    assert refused({}, amounts_0=np.full((4, 52), np.nan, np.float16)) == "live_takes.unreadable"
+    assert refused({}, amounts_0=np.zeros((4, 52))) == "live_takes.unreadable"
+    assert refused({}, basis=np.zeros((1, 2, 3), np.float16)) == "live_takes.unreadable"
+    told = {"told": {"p50_mm": 10**400, "p95_mm": None}}
+    assert refused({"takes": [{**take, **told}]}) == "live_takes.unreadable"
     other.write_bytes(weights.sent.read_bytes()[:1000])
     with pytest.raises(InputError) as caught:
         animate(weights, files, tmp_path / "out", other)
