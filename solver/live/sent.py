@@ -82,6 +82,12 @@ def part_of(take: Path) -> Path:
     return take.with_name(f"sent_{take.name}{PART}")
 
 
+def hash_take(take: Path) -> str:
+    """Return the hash of a take's file, by which it is known."""
+    with take.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
 def write_takes(
     path: Path, of: Mapping[str, str], takes: Sequence[SentTake], more: Arrays = NOTHING
 ) -> None:
@@ -175,10 +181,7 @@ class SentFaces:
         if not isinstance(of, dict) or {**of, **identity(model, S)} != of:
             message = f"{path.name} is of a live session with another rig"
             raise InputError("live_takes.rig", message, file=path.name)
-        digest = ""
-        if take.is_file():
-            with take.open("rb") as stream:
-                digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        digest = hash_take(take) if take.is_file() else ""  # a folder of scans is none
         found = next((each for each in takes if each.sha256 == digest), None)
         if found is None:
             names = ", ".join(quote_names([each.name for each in takes])) or "none"

@@ -9,7 +9,6 @@ lost where a process dies.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from solver.errors import InputError, quote
 from solver.kinds.live_session import PART, Source
 from solver.live.landmarks import IMAGE_AXES
-from solver.live.sent import AMOUNT, TOLD, SentModes, SentTake, part_of, write_takes
+from solver.live.sent import AMOUNT, TOLD, SentModes, SentTake, hash_take, part_of, write_takes
 from solver.scans.markers.readers.take import Take
 from solver.scans.performance import ARKIT_NAMES, FaceTake, head_turn, write_performance
 from solver.scans.performance import write_signals as write_recording
@@ -176,10 +175,9 @@ def _leave_sent(
     sent = (rows >= 0) & np.isfinite(amounts).all(axis=1)
     known = recorded["told"][np.isfinite(recorded["told"]).all(axis=1)].astype(np.float64)
     told: list[float | None] = known[-1].round(4).tolist() if len(known) else [None, None]
-    with take.open("rb") as stream:
-        digest = hashlib.file_digest(stream, "sha256").hexdigest()
     error = dict(zip(TOLD, told, strict=True))
-    left = SentTake(header["name"], digest, error, np.flatnonzero(sent), amounts[sent])
+    frames = np.flatnonzero(sent)
+    left = SentTake(header["name"], hash_take(take), error, frames, amounts[sent])
     write_takes(part_of(take), header["of"], [left])
 
 
