@@ -171,14 +171,15 @@ class Archive:
         """Return an archive that was put into this one: its header and arrays under ``name``."""
         return Archive(self.header[name], with_prefix(self.arrays, f"{name}_"))
 
-    def write(self, path: Path | str) -> None:
-        """Write the file, replacing it whole: no reader ever sees half of it."""
+    def write(self, path: Path | str, *, packed: bool = True) -> None:
+        """Write the file, ``packed`` or quickly, replacing it whole: no reader sees half of it."""
         path = Path(path)
         header = np.frombuffer(json.dumps(self.header).encode(), dtype=np.uint8)
         unfinished = path.with_name(f".{path.name}.{os.getpid()}")
         try:
             with unfinished.open("wb") as stream:
-                np.savez_compressed(stream, allow_pickle=False, header=header, **self.arrays)
+                save = np.savez_compressed if packed else np.savez
+                save(stream, allow_pickle=False, header=header, **self.arrays)
             unfinished.replace(path)
         finally:
             unfinished.unlink(missing_ok=True)

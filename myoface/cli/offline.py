@@ -178,6 +178,8 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
     code = show_outcome(kind.name, report, judged and judged.name)
     if kind.leaves in SUMMARIES:
         SUMMARIES[kind.leaves](report, given)
+    if live := report.get("live"):
+        _show_live(live)
     out.print(f"{folder / kind.result}")
     written = {path.name for path in left or ()}
     for name in kind.hands_on:
@@ -201,6 +203,20 @@ def _show_sequence(report: Mapping[str, Any], _given: Mapping[str, Any]) -> None
             f"mm, at most {every['max_mm']:.1f} mm: {every['max_label']} in frame "
             f"{every['max_frame']}"
         )
+
+
+def _show_live(live: Mapping[str, Any]) -> None:
+    """Say how far the session of a take was off, beside what it told then."""
+    told = live["told"]
+    if not live["frames"]:
+        out.print("live sent nothing of these frames")
+        return
+    found = f"live was off {live['p50_mm']:.2f} mm, 95 % within {live['p95_mm']:.2f}"
+    most = f"at most {live['max_mm']:.2f} in frame {live['max_frame']}"
+    said = "had told nothing"
+    if told["p50_mm"] is not None:
+        said = f"had told {told['p50_mm']:.2f} mm, 95 % within {told['p95_mm']:.2f}"
+    out.print(f"{found}, {most}, in {live['frames']} frames; it {said}")
 
 
 def _show_animation(report: Mapping[str, Any], _given: Mapping[str, Any]) -> None:

@@ -87,11 +87,12 @@ async def hold_session(
     read. Raises what the job raises.
     """
     from solver.jobs import run_job
+    from solver.kinds import FILES
     from solver.kinds.live_channel import Channel
     from solver.kinds.live_session import KIND
 
     ours, theirs = Channel.pair()
-    kept = [out / name for name in KIND.hands_on]
+    kept = [out / name for name in KIND.hands_on if FILES[name].input in KIND.reads]
     given: dict[str, Any] = {path.stem: path for path in kept if path.is_file()}
     given |= files
     failed: list[Exception] = []

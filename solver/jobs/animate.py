@@ -18,7 +18,17 @@ from solver.errors import InputError
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, read_template
 from solver.jobs.blendshapes import SOLVED, left_files, person_blendshapes, tell_blendshapes
-from solver.jobs.scenes import CARRIED, EXPORT, READ, fingerprint, finish, play, read_person
+from solver.jobs.live_off import LiveOff
+from solver.jobs.scenes import (
+    CARRIED,
+    EXPORT,
+    READ,
+    fingerprint,
+    finish,
+    play,
+    read_person,
+    skin_of,
+)
 from solver.kinds.animate import Animate
 from solver.mechanics.linear import fastest
 from solver.neck.body import import_mujoco
@@ -59,6 +69,7 @@ def run(task: Task[Animate]) -> list[Path]:
     recording = given.scene.recording
     signals = out / SIGNALS_FILE
     asset = places.asset(recording.asset)
+    live = LiveOff(task, rig, asset, -recording.start)
     if asset.resolve() != signals.resolve():
         signals.unlink(missing_ok=True)  # of another scene
     recorded = read_recording(asset, recording, signals, _detecting(task))
@@ -71,6 +82,7 @@ def run(task: Task[Animate]) -> list[Path]:
     if recorded.timecodes:
         more["timecode"] = recorded.timecodes[recording.start]
     frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
+    more |= live.report((frame.frame, skin_of(stage, frame)) for frame in frames)
     shown = recorded.seen[recording.start : recording.end]
     arrays = {"weights": drives.weights, "seen": shown, **played.arrays}
     written = finish(

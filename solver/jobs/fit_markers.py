@@ -29,6 +29,7 @@ from solver.fitting.target_checks import check_held
 from solver.fitting.tracking import Tracker
 from solver.jobs import Task, hash_files, read_template
 from solver.jobs.fits import solve_basis
+from solver.jobs.live_off import LiveOff
 from solver.jobs.marker_frames import (
     VIEW_FILE,
     TakeDrawing,
@@ -78,6 +79,7 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     progress(Step("read", 0.0, message=task.inputs["markers"].name))
     rig = Rig.load(task.inputs)
     take = count_tracks(read_take(task.inputs["markers"]))
+    live = LiveOff(task, rig, task.inputs["markers"], take.first)
     numbers = frame_numbers(take.file, take.numbers, given)
     rate = given.rate or (take.rate if take.rate > 0 else USUAL_RATE)
     mended = _mend_take(task, take, rig, rate)
@@ -99,7 +101,7 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     figures, disagreements = known.report(done)
     notices += disagreements
     report = sequence_report(done, rate, take.file) | figures
-    report |= marker_report(done, source.labels, notices)
+    report |= marker_report(done, source.labels, notices) | live.report(drawing.skin.solved())
     report |= mended.carried | {"notices": [notice.as_dict() for notice in notices]}
     animated, report["files"] = write_animated(out, drawing.skin, rig.model, rate, take.first)
     view = out / VIEW_FILE

@@ -30,6 +30,7 @@ from solver.fitting.tracking.dense import (
 from solver.fitting.tracking.frame_solver import TrackingOptions
 from solver.jobs import Task
 from solver.jobs.fits import Targets
+from solver.jobs.live_off import LiveOff
 from solver.jobs.sequences import (
     DECIMALS,
     UNLIKE_MM,
@@ -247,6 +248,7 @@ def run(task: Task[FitSequence]) -> list[Path]:
     progress(Step("read", 0.0, message=performance.name))
     rig = Rig.load(task.inputs)
     subject = rig.model
+    live = LiveOff(task, rig, performance)
     source = open_performance(performance, subject.skin, subject.face)
     numbers = frame_numbers(source.name, range(len(source)), given)
     if not given.head_motion:
@@ -263,6 +265,7 @@ def run(task: Task[FitSequence]) -> list[Path]:
         progress(Step("warning", 0.96, message=notice.message))
     report = sequence_report(done, given.fps, source.name) | {"system": given.system}
     report |= figures | {"notices": [notice.as_dict() for notice in notices]}
+    report |= live.report(fitter.skin.solved())
     animated, report["files"] = write_animated(out, fitter.skin, subject, given.fps)
     of_all = Contraction.of_face(face), 0, beside
     files = write_sequence(out, done, subject.muscle_names, given.fps, report, *of_all)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from solver.errors import InputError
 from solver.fitting.expression_basis import FILE as BASIS_FILE
@@ -19,6 +22,7 @@ from solver.kinds.live_channel import Channel, ChannelClosedError
 from solver.kinds.live_messages import (
     FOLLOWED,
     GIVEN,
+    HELD,
     FollowedFrame,
     GivenFrame,
     Message,
@@ -27,9 +31,11 @@ from solver.kinds.live_messages import (
 from solver.kinds.live_session import PART, VIEW_FILE
 from solver.kinds.live_session import LiveSession as Options
 from solver.live.checks import SAMPLES_FILE
+from solver.live.sent import FILE as TAKES_FILE
+from solver.live.sent import gather_takes
 from solver.live.session import LiveOptions, LiveSession
 from solver.live.skin import FILE
-from solver.live.takes import LeftTake, TakeWriter, check_name, finish_part
+from solver.live.takes import LeftTake, SentFace, TakeWriter, check_name, finish_part
 from solver.live.texts import describe_frame, read_frame
 from solver.progress import Step
 from solver.storage import write_json
@@ -79,7 +85,7 @@ class _Loop:
         self._faults = _Faults(channel)
         self._shown = 0.0
         self._is_resuming = False
-        self._waiting: list[_Given] = []
+        self._waiting: deque[_Given] = deque()
         self._early: list[Message] = []  # that came before the session could begin
 
     def hold(self) -> list[Path]:
@@ -122,12 +128,39 @@ class _Loop:
             message = self._channel.receive(0.0)
         if message is not None:
             self._take_message(session, message)
-        followed = self._waiting[-LOOP.most_behind :]
-        self._dropped += len(self._waiting) - len(followed)
-        self._waiting.clear()
-        for given in followed:
-            self._follow(session, given)
+        self._follow_waiting(session)
         self._look_at_clock(session)
+
+    def _follow_waiting(self, session: LiveSession) -> None:
+        """Follow the newest of the frames that wait; the take has all of them."""
+        behind = max(len(self._waiting) - LOOP.most_behind, 0)
+        self._dropped += behind
+        for _ in range(behind):
+            self._add_to_take(session, self._waiting.popleft())
+        while self._waiting:
+            given = self._waiting.popleft()
+            followed = session.step(given.frame, self._dropped)
+            sent = None
+            if session.sample is not None and not followed.flags & HELD:
+                told = followed.error_p50_mm, followed.error_p95_mm
+                sent = SentFace(session.sample.sent, told)
+            self._add_to_take(session, given, sent)
+            if given.is_text:
+                self._tell(describe_frame(followed, session))
+            else:
+                self._channel.send(Message(followed.pack()))
+
+    def _add_to_take(
+        self, session: LiveSession, given: _Given, sent: SentFace | None = None
+    ) -> None:
+        """Add a frame to the take that is being recorded, if there is one."""
+        if self._take is None:
+            return
+        self._take.add(given.frame.seconds, given.numbers, sent)
+        if self._take.is_full:
+            message = "the take is as long as it may be"
+            self._faults.tell("live.take_full", message, given.frame.number)
+            self._stop(session)
 
     def _take_message(self, session: LiveSession, message: Message) -> None:
         """Take a message: a frame, or what a client wants."""
@@ -136,15 +169,15 @@ class _Loop:
             if message.data.startswith(FOLLOWED) and not message.is_text:
                 self._resume(session, FollowedFrame.unpack(message.data))
                 return
-            given = (
+            frame = (
                 self._take_text(session, message.data)
                 if message.is_text
-                else _Given(GivenFrame.unpack(message.data))
+                else GivenFrame.unpack(message.data)
             )
-            if given is None:
+            if frame is None:
                 return
-            number = given.frame.number
-            numbers = session.read(given.frame)
+            number = frame.number
+            given = _Given(frame, session.read(frame), message.is_text)
         except MessageError as error:
             self._faults.tell("live.message", str(error), number)
             return
@@ -152,21 +185,18 @@ class _Loop:
             self._faults.tell(error.code, error.message, number)
             return
         self._last_frame = time.monotonic()
-        if self._take is not None:
-            self._take.add(given.frame.seconds, numbers)
-            if self._take.is_full:
-                self._faults.tell("live.take_full", "the take is as long as it may be", number)
-                self._stop(session)
         self._waiting.append(given)
 
-    def _take_text(self, session: LiveSession, data: bytes) -> _Given | None:
+    def _take_text(self, session: LiveSession, data: bytes) -> GivenFrame | None:
         """Take JSON: a frame of numbers as people write them, or what is wanted."""
         said = _read_object(data)
         if "number" in said:
-            return _Given(read_frame(said, session.source), is_text=True)
+            return read_frame(said, session.source)
         if "record" in said:
+            self._follow_waiting(session)
             self._record(session, said["record"])
         elif said.get("stop"):
+            self._follow_waiting(session)
             self._stop(session)
         elif said.get("end"):
             self._ending = "asked"
@@ -187,20 +217,14 @@ class _Loop:
         self._dropped = frame.dropped
         session.resume(frame)
 
-    def _follow(self, session: LiveSession, given: _Given) -> None:
-        followed = session.step(given.frame, self._dropped)
-        if not given.is_text:
-            self._channel.send(Message(followed.pack()))
-            return
-        self._tell(describe_frame(followed, session))
-
     def _record(self, session: LiveSession, name: object) -> None:
         """Begin a take; one that is being recorded is stopped before."""
         self._stop(session)
         source = session.options.source
         chosen = check_name(name, self._task.out, source)
         shape = (session.source.rows, session.source.width)
-        self._take = TakeWriter(self._task.out, chosen, source, session.source.labels, shape)
+        labels = session.source.labels
+        self._take = TakeWriter(self._task.out, chosen, source, labels, shape, session.modes)
         self._tell({"type": "recording", "name": chosen})
 
     def _stop(self, session: LiveSession | None) -> None:
@@ -268,18 +292,21 @@ class _Loop:
         out = self._task.out
         reason = self._ending or "closed"
         with suppress(ChannelClosedError):
+            while session is not None and self._waiting:  # of a channel that was closed meanwhile
+                self._add_to_take(session, self._waiting.popleft())
             self._stop(session)
             self._tell({"type": "ended", "reason": reason})
         for left in out.glob(f"{SAMPLES_FILE}*"):  # nobody goes on from here
             left.unlink(missing_ok=True)
+        gather_takes(out, None if session is None else session.modes)
         figures = {} if session is None else session.figures()
         seconds = round(time.monotonic() - self._begin, 1)
         report = {**figures, "dropped": self._dropped, "seconds": seconds, "ended": reason}
         write_json(out / REPORT, {**report, "faults": self._faults.counts, "takes": self._takes})
         self._task.progress(Step("done", 1.0))
         takes = [out / take["file"] for take in self._takes]
-        made = [out / name for name in (FILE, VIEW_FILE, BASIS_FILE) if (out / name).is_file()]
-        return [out / REPORT, *made, *takes]
+        made = [out / name for name in (FILE, VIEW_FILE, BASIS_FILE, TAKES_FILE)]
+        return [out / REPORT, *(path for path in made if path.is_file()), *takes]
 
 
 @dataclass(frozen=True)
@@ -287,7 +314,8 @@ class _Given:
     """A frame that has come; one of JSON is answered by JSON."""
 
     frame: GivenFrame
-    is_text: bool = False
+    numbers: NDArray[np.float32]  # (rows, width)
+    is_text: bool
 
 
 class _EndedError(Exception):

@@ -18,7 +18,10 @@ class Animate(PlayOptions):
 
 KIND = Kind(
     queue="long",
-    reads=("rig", "template", "assets", "blendshapes", "expression_basis", "controls", "tracks"),
+    reads=(
+        *("rig", "template", "assets", "blendshapes", "expression_basis", "controls", "tracks"),
+        "live_takes",
+    ),
     leaves="animation",
     result="animation.glb",
     hands_on=("blendshapes.npz", "expression_basis.npz"),

@@ -95,7 +95,10 @@ class FitMarkers(JobOptions):
 
 KIND = Kind(
     queue="long",
-    reads=("rig", "markers", "activations", "template", "fibre_muscles", "expression_basis"),
+    reads=(
+        *("rig", "markers", "activations", "template", "fibre_muscles", "expression_basis"),
+        "live_takes",
+    ),
     leaves="sequence",
     result="sequence.npz",
     hands_on=("sequence.npz", "markers.json", "expression_basis.npz"),

@@ -40,7 +40,7 @@ class FitSequence(SequenceOptions, FitOptions):
 
 KIND = Kind(
     queue="long",
-    reads=("rig", "performance", "activations", "tracks"),
+    reads=("rig", "performance", "activations", "tracks", "live_takes"),
     leaves="sequence",
     result="sequence.npz",
     hands_on=("sequence.npz",),

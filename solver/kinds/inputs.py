@@ -110,6 +110,9 @@ INPUTS: Mapping[str, Input] = {
         (_option("fibres", "fibre_muscles.npz of fit-fibres", "fibre_muscles"),)
     ),
     "live_skin": Input((_option("skin", "live_skin.npz of a live session", "live_skin"),)),
+    "live_takes": Input(
+        (_option("live", "live_takes.npz of the live session of the take", "live_takes"),)
+    ),
     "marker_set": Input((_option("set", "the session's marker set, JSON", role="marker_set"),)),
     "tracks": Input((_option("tracks", "tracks.npz of build-tracks"),)),
     "texture": Input((_option("texture", "texture.png of the neutral's register-scan"),)),
@@ -164,6 +167,7 @@ FILES: Mapping[str, LeftFile] = {
     "control_pairs.npz": LeftFile("control_pairs", "control_pairs", of_a_rig=True, is_kept=True),
     "controls.npz": LeftFile("controls", "controls", of_a_rig=True),
     "live_skin.npz": LeftFile("live_skin", "live_skin", of_a_rig=True, is_kept=True),
+    "live_takes.npz": LeftFile("live_takes", "live_takes"),
     "fibre_muscles.npz": LeftFile("fibre_muscles", "fibre_muscles", of_a_rig=True),
     "texture.png": LeftFile("texture", "texture", of_a_neutral=True),
     "wrinkle_normals.png": LeftFile("wrinkles", "asset"),

@@ -63,6 +63,6 @@ KIND = Kind(
     reads=("rig", "marker_set", "template", "expression_basis", "controls", "live_skin"),
     leaves="live",
     result="live.json",
-    hands_on=("live_skin.npz", "expression_basis.npz"),
+    hands_on=("live_skin.npz", "expression_basis.npz", "live_takes.npz"),
     options=LiveSession,
 )

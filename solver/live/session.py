@@ -27,6 +27,7 @@ from solver.kinds.live_session import VIEW_FILE, Source
 from solver.live.checks import Checked, CheckOptions, CheckOrder, CheckProcess, Sample
 from solver.live.mending import Mend
 from solver.live.rigged import LiveFace
+from solver.live.sent import SentModes
 from solver.live.skin import FILE
 from solver.live.smoothing import OneEuro, Smoother, SmoothScales
 from solver.live.source import FollowedFace, LiveSource
@@ -142,6 +143,8 @@ class LiveSession:
         self.errors = RunningError(options.window_s)
         self.frames = 0
         self.sample: Sample | None = None  # of the frame that was followed last
+        # of the amounts that are sent
+        self.modes = SentModes.of_skin(face.rig.model, face.rig.weights, face.live.basis)
         self._held = 0
         self._gaps = 0
         self._solve_ms = Counts(0.05, 10_000)

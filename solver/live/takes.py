@@ -3,17 +3,18 @@
 Markers are left as NPZ (:func:`~solver.scans.markers.readers.take.read_take`), weights as a
 recording of Live Link Face, points as an array of frames (:mod:`solver.scans.performance`),
 landmarks as NPZ of ``names`` and ``points``. While a take is recorded its frames are in a file of
-plain numbers, so that nothing is lost where a process dies.
+plain numbers, with the faces that were sent of them (:mod:`solver.live.sent`), so that nothing is
+lost where a process dies.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from solver.errors import InputError, quote
 from solver.kinds.live_session import PART, Source
 from solver.live.landmarks import IMAGE_AXES
+from solver.live.sent import AMOUNT, TOLD, SentModes, SentTake, hash_take, part_of, write_takes
 from solver.scans.markers.readers.take import Take
 from solver.scans.performance import ARKIT_NAMES, FaceTake, head_turn, write_performance
 from solver.scans.performance import write_signals as write_recording
@@ -48,8 +50,19 @@ class LeftTake:
     seconds: float
 
 
+@dataclass(frozen=True, eq=False)
+class SentFace:
+    """What was sent of a frame: amounts (r,) of the skin's modes, and the running error, mm."""
+
+    amounts: Floats
+    told: tuple[float, float]  # p50 and p95, NaN where it is not known
+
+
 class TakeWriter:
-    """Writes the frames of one take as they come; ``rows`` have ``width`` numbers each."""
+    """Writes the frames (rows, width) of one take as they come, and what was sent of them.
+
+    ``modes`` are those of the skin that is sent.
+    """
 
     def __init__(
         self,
@@ -58,15 +71,23 @@ class TakeWriter:
         source: Source,
         labels: Sequence[str],
         shape: tuple[int, int],
+        modes: SentModes,
         options: TakeLimits = TakeLimits(),
     ) -> None:
         self.name = name
         self.frames = 0
         self._path = folder / f"{file_name(name, source)}{PART}"
         self._options = options
-        self._row = _row(shape)
+        self._row = _row(shape, len(modes.basis))
         self._stream = self._path.open("wb")
-        header = {"name": name, "source": source, "labels": list(labels), "shape": list(shape)}
+        header = {
+            "name": name,
+            "source": source,
+            "labels": list(labels),
+            "shape": list(shape),
+            "modes": len(modes.basis),
+            "of": modes.identity,
+        }
         self._stream.write(json.dumps(header).encode() + b"\n")
 
     @property
@@ -76,12 +97,17 @@ class TakeWriter:
         size = self.frames * self._row.itemsize
         return self.frames >= options.most_frames or size >= options.most_bytes
 
-    def add(self, seconds: float, numbers: NDArray[np.float32]) -> None:
-        """Write a frame (rows, width) at a time of the station's."""
+    def add(
+        self, seconds: float, numbers: NDArray[np.float32], sent: SentFace | None = None
+    ) -> None:
+        """Write a frame (rows, width) at a time of the station's; ``sent`` is what was of it."""
         row = np.zeros((), self._row)
         row["seconds"] = seconds
         row["numbers"] = numbers
+        row["amounts"] = np.nan if sent is None else sent.amounts
+        row["told"] = np.nan if sent is None else sent.told
         self._stream.write(row.tobytes())
+        self._stream.flush()  # a process that is killed loses none
         self.frames += 1
 
     def finish(self) -> LeftTake | None:
@@ -114,11 +140,14 @@ def check_name(name: object, folder: Path, source: Source) -> str:
 
 
 def finish_part(path: Path, options: TakeLimits = TakeLimits()) -> LeftTake | None:
-    """Make the file of a take of what was recorded of it; None where it has no whole frame."""
+    """Make the file of a take of what was recorded of it; None where it has no whole frame.
+
+    What was sent of its frames is left beside it (:func:`~solver.live.sent.part_of`).
+    """
     with path.open("rb") as stream:
         header = json.loads(stream.readline())
         begin = stream.tell()
-    row = _row(tuple(header["shape"]))
+    row = _row(tuple(header["shape"]), header["modes"])
     count = (path.stat().st_size - begin) // row.itemsize
     if not count:
         path.unlink()
@@ -129,10 +158,27 @@ def finish_part(path: Path, options: TakeLimits = TakeLimits()) -> LeftTake | No
     later = np.flatnonzero(np.append(True, np.diff(np.maximum.accumulate(seconds)) > 0))
     seconds = seconds[later]
     source: Source = header["source"]
-    WRITERS[source](_Recorded(out, header["labels"], seconds, frames["numbers"], later, options))
-    del frames
+    recorded = _Recorded(out, header["labels"], seconds, frames["numbers"], later, options)
+    WRITERS[source](recorded)
+    rows = later[recorded.seen()] if source == "weights" else recorded.even()
+    _leave_sent(out, header, frames, rows)
+    del frames, recorded
     path.unlink()
     return LeftTake(header["name"], out.name, len(later), float(seconds[-1] - seconds[0]))
+
+
+def _leave_sent(
+    take: Path, header: Mapping[str, Any], recorded: NDArray[np.void], rows: NDArray[np.int64]
+) -> None:
+    """Leave what was sent of a take; ``rows`` (f,) of what was recorded are its frames, or -1."""
+    amounts = recorded["amounts"][rows]
+    sent = (rows >= 0) & np.isfinite(amounts).all(axis=1)
+    known = recorded["told"][np.isfinite(recorded["told"]).all(axis=1)].astype(np.float64)
+    told: list[float | None] = known[-1].round(4).tolist() if len(known) else [None, None]
+    error = dict(zip(TOLD, told, strict=True))
+    frames = np.flatnonzero(sent)
+    left = SentTake(header["name"], hash_take(take), error, frames, amounts[sent])
+    write_takes(part_of(take), header["of"], [left])
 
 
 @dataclass(frozen=True)
@@ -160,6 +206,11 @@ class _Recorded:
         found = np.full(places[-1] + 1, -1, np.int64)
         found[places] = self.rows
         return found
+
+    def seen(self) -> NDArray[np.bool_]:
+        """Return in which frames (f,) a weight was seen: a recording has these alone."""
+        weights = self.numbers[self.rows, : len(ARKIT_NAMES), 0]
+        return np.asarray(np.isfinite(weights).any(axis=1))
 
     def points(self) -> Floats:
         """Return frames (f, k, 3) at even times, NaN where nothing was seen."""
@@ -189,7 +240,6 @@ def _write_points(made: _Recorded) -> None:
 def _write_weights(made: _Recorded) -> None:
     numbers = np.array(made.numbers[made.rows, :, 0], np.float64)
     count = len(ARKIT_NAMES)
-    seen = np.asarray(np.isfinite(numbers[:, :count]).any(axis=1))
     held = _hold(numbers)
     turns = [
         np.array([head_turn(angles) for angles in held[:, count + 3 * bone : count + 3 * bone + 3]])
@@ -200,7 +250,7 @@ def _write_weights(made: _Recorded) -> None:
         np.clip(held[:, :count], 0.0, 1.0),
         turns[0],
         np.stack(turns[1:], axis=1),
-        seen,
+        made.seen(),
         "live_link",
     )
     write_recording(made.path, take)
@@ -228,5 +278,6 @@ WRITERS: Final[dict[Source, Callable[[_Recorded], None]]] = {
 }
 
 
-def _row(shape: tuple[int, ...]) -> np.dtype[np.void]:
-    return np.dtype([("seconds", "<f8"), ("numbers", "<f4", shape)])
+def _row(shape: tuple[int, ...], modes: int) -> np.dtype[np.void]:
+    sent = [("amounts", AMOUNT, (modes,)), ("told", "<f4", (2,))]
+    return np.dtype([("seconds", "<f8"), ("numbers", "<f4", shape), *sent])

@@ -209,11 +209,12 @@ def test_a_stored_take_is_solved_exactly(
     place: Place, rig: Callable[..., Page], tmp_path: Path
 ) -> None:
     rng = np.random.default_rng(0)
-    (tmp_path / "take_1.csv").write_bytes(rng.bytes(100))
+    files = [tmp_path / "take_1.csv", tmp_path / "live_takes.npz"]
+    for file in files:
+        file.write_bytes(rng.bytes(100))
     take = {"name": "take 1", "file": "take_1.csv", "frames": 60, "seconds": 1.0}
     subject = _subject_of(place)
     summary = {"takes": [take]}
-    files = [tmp_path / "take_1.csv"]
     options = {"source": "weights"}
     job = put_job(place.store, subject, "live_session", files, summary, place.first, options)
     page = rig(f"?live={SESSION}")
@@ -224,6 +225,34 @@ def test_a_stored_take_is_solved_exactly(
     dialog.get_by_role("heading", name="Animate by a recording").wait_for()
     assert f'"asset": "take_1_{job[:8]}"' in dialog.locator("textarea").first.input_value()
     _picture(page, "live-solve")
+    asked: list[dict[str, Any]] = []
+
+    def submit(route: Any) -> None:
+        if route.request.method != "PUT":
+            route.continue_()
+            return
+        asked.append(route.request.post_data_json)
+        route.fulfill(json={"id": job}, status=201)
+
+    page.route("**/v1/jobs/*", submit)
+    dialog.get_by_role("button", name="Submit").click()
+    page.wait_for_url(f"**/jobs/{job}")
+    assert asked[0]["from_jobs"] == [{"job": job, "artifact": "live_takes.npz"}]
+
+
+def test_an_exact_job_tells_how_far_live_was_off(place: Place, rig: Callable[..., Page]) -> None:
+    told = {"p50_mm": 0.06, "p95_mm": 0.21}
+    found = {"p50_mm": 0.08, "p95_mm": 0.25, "max_mm": 0.4, "max_frame": 17}
+    live = {"take": "walk", "frames": 120, "mean_mm": 0.1, **found, "told": told}
+    subject = _subject_of(place)
+    job = put_job(place.store, subject, "fit_markers", [], {"live": live}, place.first)
+    page = rig()
+    page.goto(f"{place.url}/jobs/{job}")
+    page.get_by_text(
+        "Live was off 0.08 mm, 95 % within 0.25, at most 0.4 mm in frame 17, of 120 frames of walk."
+        " At the end it told 0.06 mm, 95 % within 0.21."
+    ).wait_for()
+    _picture(page, "live-off")
 
 
 def _subject_of(place: Place) -> str:

@@ -287,6 +287,22 @@ def test_known_activations_lie_beside_what_is_fitted(session: Session) -> None:
     assert (checked.status_code, checked.json()["code"]) == (422, "capture.is_activations")
 
 
+def test_what_a_live_session_sent_reaches_the_jobs_of_its_takes(session: Session) -> None:
+    live = session.left("live_session", "live_takes.npz")
+    sent = {"job": live, "artifact": "live_takes.npz"}
+    clip = session.studio._add(session.subject, "clip-live", "asset", {})
+    played = {"options": {"scene": {"recording": {"asset": "clip-live"}}}, "captures": [clip]}
+    dense = session.studio._add(session.subject, "dense-live", "performance", {})
+    for kind, more in (
+        ("fit_markers", {"captures": [session.take]}),
+        ("fit_sequence", {"captures": [dense]}),
+        ("animate", played),
+    ):
+        assert "live_takes" not in session.sources(session.ask(kind, **more).json()["id"])
+        job = session.ask(kind, sent, **more).json()["id"]
+        assert session.sources(job)["live_takes"] == live
+
+
 def test_every_file_that_is_handed_on_is_an_input_of_some_kind() -> None:
     read = {each for kind in KINDS.values() for each in kind.reads}
     left = {name for kind in KINDS.values() for name in kind.hands_on}

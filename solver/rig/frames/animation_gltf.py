@@ -10,7 +10,7 @@ the face meets are nodes of their own.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -265,6 +265,12 @@ class AnimatedSkin:
         placed = small_motion(frame.head)(skin)
         self.extent[0] = np.minimum(self.extent[0], placed.min(axis=0))
         self.extent[1] = np.maximum(self.extent[1], placed.max(axis=0))
+
+    def solved(self) -> Iterator[tuple[int, Singles]]:
+        """Yield the numbers of frames that are no guess, with their skins (v, 3)."""
+        for frame, skin in zip(self.frames, self._read_skins(), strict=True):
+            if frame.status in ("fitted", "smoothed"):
+                yield frame.frame, skin
 
     def write(self, path: Path, fps: float, first: int = 0) -> dict[str, Any]:
         """Write the animation, in metres; a node carries the motion of the head.

@@ -1,7 +1,6 @@
 """A session as its job holds it: messages in and out, clocks, faults, takes and full solves."""
 
 import json
-import threading
 import time
 
 import numpy as np
@@ -9,63 +8,22 @@ import pytest
 
 from solver.errors import InputError
 from solver.jobs import run_job
-from solver.kinds.live_channel import Channel, ChannelClosedError
-from solver.kinds.live_messages import GAP, HELD, RESUMED, FollowedFrame, GivenFrame, Message
+from solver.kinds.live_channel import ChannelClosedError
+from solver.kinds.live_messages import GAP, HELD, RESUMED, GivenFrame, Message
+from solver.live.sent import FILE as TAKES_FILE
+from solver.live.sent import read_takes
 from solver.live.session import Counts, LiveOptions, LiveSession, RunningError
+from solver.live.takes import SentFace, TakeWriter
 from solver.scans.performance import ARKIT_NAMES, read_live_link
+from tests.solver.live.live_client import OPEN, Client
 from tests.solver.live.live_rig import live_files
 
-OPEN = np.zeros(52, "<f4")
 JAW_OPEN = ARKIT_NAMES.index("jawOpen")
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     return live_files(tmp_path_factory.mktemp("rig"))
-
-
-class Client:
-    """The client's end of a job that holds a session."""
-
-    def __init__(self, files, out, **options):
-        self.channel, theirs = Channel.pair()
-        self.left = None
-        self.error = None
-
-        def hold():
-            try:
-                given = {"check_seconds": 0, **options}
-                self.left = run_job("live_session", out, options=given, channel=theirs, **files)
-            except InputError as error:
-                self.error = error
-
-        self.thread = threading.Thread(target=hold)
-        self.thread.start()
-
-    def say(self, **said):
-        self.channel.send(Message(json.dumps(said).encode(), is_text=True))
-
-    def frame(self, number, seconds, numbers=OPEN):
-        self.channel.send(Message(GivenFrame(number, seconds, numbers.tobytes()).pack()))
-
-    def hear(self, wanted=None):
-        """Return the next message, the next of a type if one is wanted."""
-        while True:
-            message = self.channel.receive(60.0)
-            assert message is not None
-            if not message.is_text:
-                found = FollowedFrame.unpack(message.data)
-                if wanted is None:
-                    return found
-                continue
-            found = json.loads(message.data)
-            if wanted is None or found["type"] == wanted:
-                return found
-
-    def followed(self):
-        while isinstance(found := self.hear(), dict):
-            pass
-        return found
 
 
 def test_a_session_is_held_recorded_and_reported(files, tmp_path):
@@ -92,7 +50,8 @@ def test_a_session_is_held_recorded_and_reported(files, tmp_path):
     assert client.hear("ended")["reason"] == "asked"
     client.thread.join()
     names = {path.name for path in client.left}
-    assert {"live.json", "live_skin.npz", "live_view.bin", "take_smile.csv"} <= names
+    made = {"live.json", "live_skin.npz", "live_view.bin", "take_smile.csv", TAKES_FILE}
+    assert made <= names
     assert len(read_live_link(tmp_path / "take_smile.csv").times) == 6
     report = json.loads((tmp_path / "live.json").read_text())
     assert report["frames"] == 6
@@ -170,6 +129,28 @@ def test_another_attempt_goes_on_from_the_last_frame(files, tmp_path):
     assert client.hear("fault")["code"] == "live.message"
     client.say(end=True)
     client.thread.join()
+
+
+def test_another_attempt_finishes_the_take_of_one_that_was_killed(files, tmp_path):
+    session = LiveSession.open(files, tmp_path, LiveOptions("weights", check_seconds=0))
+    whole = TakeWriter(tmp_path, "whole", "weights", session.source.labels, (61, 1), session.modes)
+    whole.add(0.0, np.zeros((61, 1)), SentFace(np.ones(len(session.modes.basis)), (0.1, 0.2)))
+    whole.finish()
+    torn = TakeWriter(tmp_path, "torn", "weights", session.source.labels, (61, 1), session.modes)
+    for number in range(3):
+        sent = SentFace(np.full(len(session.modes.basis), number), (0.1, 0.2 * number))
+        torn.add(number / 60, np.zeros((61, 1)), sent)
+    client = Client(files, tmp_path, resume=True)
+    assert client.hear("take")["name"] == "torn"
+    client.hear("ready")
+    client.say(end=True)
+    client.thread.join()
+    assert tmp_path / TAKES_FILE in client.left
+    _, [first, second] = read_takes(tmp_path / TAKES_FILE)
+    assert (first.name, second.name) == ("whole", "torn")
+    assert second.frames.tolist() == [0, 1, 2]
+    assert second.amounts[:, -1].tolist() == [0, 1, 2]
+    assert second.told == {"p50_mm": 0.1, "p95_mm": 0.4}
 
 
 def test_a_session_without_frames_ends(files, tmp_path):

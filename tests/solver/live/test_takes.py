@@ -1,21 +1,29 @@
 """Takes are read by the jobs of exact fits, with gaps where frames did not come."""
 
+import hashlib
+
 import numpy as np
 import pytest
 
 from solver.errors import InputError
-from solver.live.takes import PART, TakeWriter, check_name, file_name, finish_part
+from solver.live.sent import FILE, SentModes, SentOptions, gather_takes, part_of, read_takes
+from solver.live.takes import PART, SentFace, TakeWriter, check_name, file_name, finish_part
 from solver.live.weights import LiveWeights
 from solver.scans.markers.readers.take import read_take
 from solver.scans.performance import ARKIT_NAMES, read_live_link
 
+MODES = SentModes({"model": "a", "weights": "b"}, np.zeros((2, 5, 3), np.float16))
 TIMES = 100.0 + np.array([0, 1, 2, 5, 6, 6, 7]) / 60
 
 
+SENT = [SentFace(np.array([number, 0.1]), (0.1 * number, 0.5)) for number in range(7)]
+SENT[1] = SENT[4] = None  # dropped, or held
+
+
 def record(folder, source, labels, frames):
-    writer = TakeWriter(folder, "one", source, labels, frames.shape[1:])
-    for seconds, numbers in zip(TIMES, frames, strict=True):
-        writer.add(seconds, numbers)
+    writer = TakeWriter(folder, "one", source, labels, frames.shape[1:], MODES)
+    for seconds, numbers, sent in zip(TIMES, frames, SENT, strict=True):
+        writer.add(seconds, numbers, sent)
     return writer.finish()
 
 
@@ -55,7 +63,7 @@ def test_points_are_left_as_an_array(tmp_path):
 
 
 def test_a_take_whose_process_died_is_finished_by_its_part(tmp_path):
-    writer = TakeWriter(tmp_path, "two", "points", [], (4, 3))
+    writer = TakeWriter(tmp_path, "two", "points", [], (4, 3), MODES)
     for number in range(3):
         writer.add(number / 30, np.full((4, 3), number, np.float32))
     writer._stream.write(b"half of a frame")
@@ -66,8 +74,53 @@ def test_a_take_whose_process_died_is_finished_by_its_part(tmp_path):
     assert np.load(tmp_path / "take_two.npy").shape == (3, 4, 3)
 
 
+@pytest.mark.parametrize(
+    ("source", "shape", "frames"),
+    [("points", (20, 3), [0, 2, 5, 7]), ("weights", (61, 1), [0, 1, 2, 4])],
+)
+def test_what_was_sent_lies_beside_a_take_by_its_frames(tmp_path, source, shape, frames):
+    """Of two rows at one time the first counts; of weights frames without one are left out."""
+    numbers = np.full((7, *shape), 0.5, np.float32)
+    if source == "weights":
+        numbers[1] = np.nan
+    left = tmp_path / record(tmp_path, source, LiveWeights.labels, numbers).file
+    _, [sent] = read_takes(part_of(left))
+    assert sent.frames.tolist() == frames
+    np.testing.assert_array_equal(sent.amounts[:, 0], [0, 2, 3, 6])
+    assert sent.told == {"p50_mm": pytest.approx(0.6), "p95_mm": 0.5}
+    assert sent.sha256 == hashlib.sha256(left.read_bytes()).hexdigest()
+
+
+def test_what_was_sent_of_all_takes_is_gathered(tmp_path):
+    frames = np.zeros((7, 4, 3), np.float32)
+
+    def gathered(**given):
+        gather_takes(tmp_path, MODES, **given)
+        assert not list(tmp_path.glob(f"*{PART}"))
+        archive, takes = read_takes(tmp_path / FILE)
+        assert archive.header["of"] == MODES.identity
+        np.testing.assert_array_equal(archive.arrays["basis"], MODES.basis)
+        return [each.name for each in takes]
+
+    record(tmp_path, "points", [], frames)
+    assert gathered() == ["one"]
+    other = SentModes(MODES.rig, MODES.basis + np.float16(1))
+    stranger = TakeWriter(tmp_path, "other", "points", [], (4, 3), other)
+    stranger.add(0.0, frames[0])
+    stranger.finish()
+    held = TakeWriter(tmp_path, "held", "points", [], (4, 3), MODES)
+    held.add(0.0, frames[0])
+    held.finish()
+    assert gathered() == ["one", "held"]  # a later session in the same folder
+    record(tmp_path, "points", [], frames)
+    assert gathered(options=SentOptions(most_bytes=20)) == ["held", "one"]
+    record(tmp_path, "points", [], frames)
+    gather_takes(tmp_path, None)
+    assert not list(tmp_path.glob(f"*{PART}"))
+
+
 def test_a_take_without_frames_leaves_nothing(tmp_path):
-    assert TakeWriter(tmp_path, "none", "weights", [], (61, 1)).finish() is None
+    assert TakeWriter(tmp_path, "none", "weights", [], (61, 1), MODES).finish() is None
     assert not list(tmp_path.iterdir())
 
 

@@ -5,6 +5,8 @@ import { h } from "../dom.js";
 import { kindsByName } from "../library.js";
 import { plain, when } from "../words.js";
 
+/** The file in which a check of markers leaves their places. */
+export const MARKER_SET = "markers.json";
 // Jobs that are offered with a file of a name, the newest
 const MOST = 5;
 // Inputs that are chosen here; others a job finds by itself
@@ -12,14 +14,18 @@ const CHOSEN = ["markers", "sequences"];
 
 /**
  * Return the fields in which files of earlier jobs are chosen for a job of `kind`, and what reads
- * them: `{element, read()}`. `request` is what is asked for; what its `from_jobs` names is chosen.
+ * them: `{element, read()}`. `request` is what is asked for; what its `from_jobs` names is chosen,
+ * and is read as well where it is not offered.
  */
 export async function handedOnFields(kind, request) {
-  const rows = (await offered(kind, request)).map((file) => row(file, request.from_jobs ?? []));
+  const given = request.from_jobs ?? [];
+  const files = await offered(kind, request);
+  const others = given.filter((each) => !files.some((file) => isSame(each, file)));
+  const rows = files.map((file) => row(file, given));
   const element = rows.length
     ? h("fieldset", { class: "options" }, h("legend", {}, "What earlier jobs left"), rows.map((each) => each.element))
     : null;
-  return { element, read: () => rows.map((each) => each.read()).filter(Boolean) };
+  return { element, read: () => [...rows.map((each) => each.read()).filter(Boolean), ...others] };
 }
 
 /** Return the files that a kind of job reads: `{job, artifact, input, words}`. */
@@ -42,7 +48,7 @@ async function filesCalled([artifact, input], subjectId) {
 }
 
 function row({ job, artifact, input, words }, given) {
-  const known = given.find((each) => each.job === job && each.artifact === artifact);
+  const known = given.find((each) => isSame(each, { job, artifact }));
   const box = h("input", { type: "checkbox", checked: Boolean(known) });
   const usual = artifact.replace(/\.[^.]*$/, "");
   const name =
@@ -53,4 +59,8 @@ function row({ job, artifact, input, words }, given) {
     element: h("div", { class: "field" }, h("label", { class: "check-field" }, box, words), field || null),
     read: () => box.checked && { job, artifact, ...(name && name.value !== usual ? { name: name.value } : {}) },
   };
+}
+
+function isSame(one, other) {
+  return one.job === other.job && one.artifact === other.artifact;
 }

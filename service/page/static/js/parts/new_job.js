@@ -4,7 +4,7 @@ import { h } from "../dom.js";
 import { retry, submit } from "../jobs.js";
 import { kindsByName } from "../library.js";
 import { ask } from "./dialog.js";
-import { handedOnFields } from "./handed_on.js";
+import { handedOnFields, MARKER_SET } from "./handed_on.js";
 import { optionFields, readOptions } from "./options.js";
 import { addNeckField } from "./scene_neck.js";
 
@@ -27,7 +27,8 @@ export async function askForJob({ marker_set: set = null, options = {}, ...reque
     act: (form) => {
       const left = handed.read();
       const read = new Set([...(request.captures ?? []), ...neck.read()]);
-      const captures = [...read, ...(set && !left.length ? [set] : [])];
+      const hasSet = left.some(({ artifact }) => artifact === MARKER_SET);
+      const captures = [...read, ...(set && !hasSet ? [set] : [])];
       const more = { captures, from_jobs: left, options: readOptions(kind.options, form) };
       return submit({ ...request, ...more, priority: valueOf(priority) });
     },

@@ -4,7 +4,7 @@ import { h } from "../dom.js";
 import { capturesById } from "../library.js";
 import { navigate } from "../navigate.js";
 import { isMarkerSet } from "../scan_files.js";
-import { figure, plain } from "../words.js";
+import { count, figure, plain } from "../words.js";
 import { film, picture } from "./files.js";
 import { rigFindings, verdictOf } from "./certificate.js";
 import { findingList, judgedLines } from "./findings.js";
@@ -48,6 +48,7 @@ export function resultPanel(job, signal) {
     summary?.verdict && h("p", { class: "verdict" }, rigId ? verdictOf(summary) : verdictState(summary.verdict, job.kind)),
     (summary?.findings || findings.length > 0) && findingList(findings),
     summary && judgedLines(summary),
+    summary?.live && h("p", {}, liveLine(summary.live)),
     rigId && summary?.checks && findingList(rigFindings(summary)),
     rigId && h("p", {}, h("a", { class: "button", href: `/rigs/${rigId}` }, "Open the rig")),
     isPlaced && h("p", {}, h("a", { class: "button", href: `/markers/${job.id}` }, "Place the markers"), " ", goOn("Fit the take", () => fitTake(job))),
@@ -107,6 +108,17 @@ function playInScene(job) {
 
 function of({ subject_id, rig_id }) {
   return { subject_id, rig_id };
+}
+
+/** Say how far the live session of a take was off its exact solution, beside what it told then. */
+function liveLine({ take, frames, p50_mm: p50, p95_mm: p95, max_mm: most, max_frame: worst, told }) {
+  if (!frames) return `Live had sent no face in these frames of ${take}.`;
+  const said = told.p50_mm === null ? "At the end it had told nothing" : `At the end it told ${off(told.p50_mm, told.p95_mm)}`;
+  return `Live was off ${off(p50, p95)}, at most ${figure(most)} mm in frame ${worst}, of ${count(frames, "frame")} of ${take}. ${said}.`;
+}
+
+function off(p50, p95) {
+  return `${figure(p50)} mm, 95 % within ${figure(p95)}`;
 }
 
 function shown(name, value) {

@@ -2,7 +2,9 @@
 
 import * as api from "../../api.js";
 import { h, show } from "../../dom.js";
+import { kindsByName } from "../../library.js";
 import { navigate } from "../../navigate.js";
+import { MARKER_SET } from "../../parts/handed_on.js";
 import { askForJob } from "../../parts/new_job.js";
 import { doing } from "../../parts/toast.js";
 import { sentence } from "../../parts/trouble.js";
@@ -10,7 +12,7 @@ import { upload } from "../../tus.js";
 import { count, short, when } from "../../words.js";
 
 const KIND = "live_session";
-const MARKER_SET = "markers.json";
+const SENT = "live_takes.npz";
 
 /** What solves a take exactly, by the session's source: a kind of job, and the role that its file has. */
 const EXACT = {
@@ -84,13 +86,18 @@ export class LiveTakes {
     const { kind, role } = EXACT[job.options.source];
     const name = nameOf(take, job);
     const captures = [(await this.#capture(name, artifact, role)).id];
-    const order = { kind, subject_id: this.#rig.subject_id, rig_id: this.#rig.id, captures };
+    // what the session sent, for the job to tell how far it was off
+    const sent = job.result.artifacts.some((each) => each.name === SENT) ? [{ job: job.id, artifact: SENT }] : [];
+    const order = { kind, subject_id: this.#rig.subject_id, rig_id: this.#rig.id, captures, from_jobs: sent };
     if (kind === "fit_markers") {
       // the marker set that the session read: a capture, or what a check has left
       const left = (job.from_jobs ?? []).filter(({ artifact }) => artifact === MARKER_SET);
-      return { ...order, from_jobs: left, marker_set: left.length ? null : job.captures?.[0] ?? null };
+      return { ...order, from_jobs: [...left, ...sent], marker_set: left.length ? null : job.captures?.[0] ?? null };
     }
-    if (kind !== "animate") return order;
+    if (kind === "fit_sequence") {
+      const { rate } = (await kindsByName()).get(KIND).options.properties;
+      return { ...order, options: { fps: job.options.rate ?? rate.default, head_motion: true } };
+    }
     return { ...order, options: { scene: { recording: { asset: name } } } };
   }
 
