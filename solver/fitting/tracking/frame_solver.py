@@ -28,6 +28,7 @@ from solver.fitting.least_squares import (
 from solver.fitting.objective import Prior, SumTerm, Term
 from solver.fitting.sensitivity import Jacobian, Sensitivity
 from solver.fitting.steps import FeasibleStepOptions
+from solver.fitting.tracking.lagged import LaggedModel
 from solver.mechanics.equilibrium import CorrectorOptions, correct, untangle
 from solver.mechanics.newton import Factorization
 from solver.surface import Floats
@@ -56,19 +57,6 @@ class TrackingOptions:
     reseen: float = 0.1  # part of the points' weight that moves before a matrix is made anew
 
 
-@dataclass(frozen=True)
-class _LaggedModel:
-    """Sensitivities of a frame before, and the pose's Gauss-Newton matrix without priors."""
-
-    jacobian: Jacobian
-    weights: Floats  # (k,) of the points that the matrix is of
-    hessian: Floats
-
-    @classmethod
-    def of(cls, jacobian: Jacobian, data: Term, weights: Floats, x: Floats) -> _LaggedModel:
-        return cls(jacobian, weights, jacobian.contract(data.curvature(x)))
-
-
 class FrameSolver:
     """Fits the pose of each frame from the one before; ``state`` is the last one's.
 
@@ -83,7 +71,7 @@ class FrameSolver:
         self.state = start
         self._options = options
         self._descent = DescentOptions(steps=options.steps)
-        self._lagged: _LaggedModel | None = None
+        self._lagged: LaggedModel | None = None
         self._age = 0
         self._expired = False
         self._value = np.inf
@@ -114,7 +102,7 @@ class FrameSolver:
         if lagged and (
             np.abs(weights - lagged.weights).sum() >= options.reseen * np.abs(weights).sum()
         ):
-            lagged = _LaggedModel.of(lagged.jacobian, data, weights, self.state.x)
+            lagged = LaggedModel(lagged.jacobian, data, weights, self.state.x)
             self._lagged = lagged
             self._search.forget()
         if lagged and self._expired:
@@ -166,7 +154,7 @@ class FrameSolver:
         near = _correct(self.face, self.state, pose, guess, self._options.corrector)
         self.state = near or self.face.continuation(self.state, pose)
 
-    def relinearise(self, data: Term, weights: Floats) -> _LaggedModel:
+    def relinearise(self, data: Term, weights: Floats) -> LaggedModel:
         """Make the sensitivities of the state as it is, with its Hessian if that is another's."""
         pose = self.state.pose
         found = self.state.equilibrium
@@ -177,13 +165,13 @@ class FrameSolver:
             factorization = Factorization(self.face.flesh, self.face.linear, found.x, a)
             self.state = PosedFace(pose, replace(found, factor=factorization))
         jacobian = Sensitivity(self.face, self.state).by_pose().in_single_precision()
-        self._lagged = _LaggedModel.of(jacobian, data, weights, self.state.x)
+        self._lagged = LaggedModel(jacobian, data, weights, self.state.x)
         self._search.forget()
         self._age = 0
         return self._lagged
 
     def _fit_lagged(
-        self, lagged: _LaggedModel, data: Term, contact: Term | None, prior: Prior
+        self, lagged: LaggedModel, data: Term, contact: Term | None, prior: Prior
     ) -> LeastSquaresSolution[PosedFace] | None:
         """Fit a frame with lagged derivatives; None if the first step leads nowhere."""
         corrector = self._options.corrector
@@ -198,7 +186,7 @@ class _FrameProblem:
     """f of a frame by lagged derivatives: a :class:`~.least_squares.LeastSquaresProblem`."""
 
     face: Face
-    lagged: _LaggedModel
+    lagged: LaggedModel
     data: Term
     contact: Term | None
     regulariser: Prior
@@ -210,12 +198,11 @@ class _FrameProblem:
         return activation.objective(self.data, self.regulariser, point) + touching
 
     def linearise(self, point: PosedFace) -> _FrameModel:
-        jacobian = self.lagged.jacobian
-        gradient = jacobian.adjoint(self.data.gradient(point.x))
+        gradient = self.lagged.adjoint(self.data.gradient(point.x))
         gradient += self.regulariser.gradient(point.pose)
         touching = self._touching(point)
         if touching:
-            gradient += jacobian.adjoint(touching.gradient(point.estimate))
+            gradient += self.lagged.adjoint(touching.gradient(point.estimate))
         return _FrameModel(self, point, gradient)
 
     def hessian(self, point: PosedFace) -> Floats:
@@ -232,13 +219,17 @@ class _FrameProblem:
         return self.contact if self.contact and self.contact.value(point.estimate) else None
 
     def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:
-        """Correct the equilibrium, no more."""
+        """Correct the equilibrium, no more, and learn from what the sensitivities have missed."""
         face = self.face
         flesh = self.face.flesh
         pose = point.pose.add(step.change)
-        x = flesh.add_motion(point.x, self.lagged.jacobian.flesh_motion(step.change))
+        x = flesh.add_motion(point.x, self.lagged.flesh_motion(step.change))
         x[face.model.mandible] = face.mandible(pose.b)
-        return _correct(face, point, pose, x, self.corrector)
+        found = _correct(face, point, pose, x, self.corrector)
+        if found is not None:
+            missed = (found.x - x)[flesh.free].ravel()
+            self.lagged.learn(pose.vector() - point.pose.vector(), missed)
+        return found
 
 
 @dataclass(frozen=True)
