@@ -40,7 +40,7 @@ class TrackingOptions:
 
     # SQP steps at most, the part of f that a step has to promise, and the part of f that one has to
     # gain for another one to be tried
-    stop: StopOptions = field(default_factory=lambda: StopOptions(3, promised=8e-3, gained=0.1))
+    stop: StopOptions = field(default_factory=lambda: StopOptions(3, promised=2e-2, gained=0.1))
     least_ratio: float = 0.2  # of a gain to the promised one, below which the frame's steps end
     damping: DampingOptions = field(
         default_factory=lambda: DampingOptions(1e-3, least=1e-4, most=1.0, good=0.7, bad=0.4)

@@ -44,7 +44,7 @@ class LaggedModel:
         x: Floats,
         options: SecantOptions = SecantOptions(),
     ) -> None:
-        """Linearise ``data`` at x (p, 3); ``weights`` (k,) of its points are those of the matrix."""
+        """Linearise ``data`` at x (p, 3), its points having ``weights`` (k,)."""
         self.jacobian = jacobian
         self.weights = weights
         self._curvature: Curvature = data.curvature(x)
