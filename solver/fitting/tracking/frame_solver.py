@@ -2,7 +2,8 @@
 
 A frame takes a few SQP steps in (x, a, b): a Gauss-Newton step of the pose, then corrections of the
 equilibrium with the Hessian of a frame or a few ago. The sensitivities lag for longer still,
-as they cost most and an error in them changes the objective to second order only. Where nothing
+as they cost most and an error in them changes the objective to second order only; they learn from
+steps what they miss (:mod:`.lagged`). Where nothing
 comes of new sensitivities either, the frame is fitted as any expression is, from the frame before;
 or left at that, if that is about as good as it was.
 """
@@ -28,7 +29,7 @@ from solver.fitting.least_squares import (
 from solver.fitting.objective import Prior, SumTerm, Term
 from solver.fitting.sensitivity import Jacobian, Sensitivity
 from solver.fitting.steps import FeasibleStepOptions
-from solver.fitting.tracking.lagged import LaggedModel
+from solver.fitting.tracking.lagged import LaggedModel, SecantOptions
 from solver.mechanics.equilibrium import CorrectorOptions, correct, untangle
 from solver.mechanics.newton import Factorization
 from solver.surface import Floats
@@ -49,6 +50,7 @@ class TrackingOptions:
     # sensitivities: where flesh buckles these help little ...
     lagged_frames: int = 15
     stale_frames: int = 90  # ... and one that takes all its steps gets none
+    secants: SecantOptions | None = field(default_factory=SecantOptions)  # None: nothing is learned
     corrector: CorrectorOptions = field(default_factory=CorrectorOptions)
     steps: FeasibleStepOptions = field(default_factory=FeasibleStepOptions.quick)  # within bounds
     # effort of a frame that is fitted as any expression is
@@ -102,7 +104,7 @@ class FrameSolver:
         if lagged and (
             np.abs(weights - lagged.weights).sum() >= options.reseen * np.abs(weights).sum()
         ):
-            lagged = LaggedModel(lagged.jacobian, data, weights, self.state.x)
+            lagged = self._linearised(lagged.jacobian, data, weights)
             self._lagged = lagged
             self._search.forget()
         if lagged and self._expired:
@@ -165,10 +167,13 @@ class FrameSolver:
             factorization = Factorization(self.face.flesh, self.face.linear, found.x, a)
             self.state = PosedFace(pose, replace(found, factor=factorization))
         jacobian = Sensitivity(self.face, self.state).by_pose().in_single_precision()
-        self._lagged = LaggedModel(jacobian, data, weights, self.state.x)
+        self._lagged = self._linearised(jacobian, data, weights)
         self._search.forget()
         self._age = 0
         return self._lagged
+
+    def _linearised(self, jacobian: Jacobian, data: Term, weights: Floats) -> LaggedModel:
+        return LaggedModel(jacobian, data, weights, self.state.x, self._options.secants)
 
     def _fit_lagged(
         self, lagged: LaggedModel, data: Term, contact: Term | None, prior: Prior

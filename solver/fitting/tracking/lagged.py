@@ -42,9 +42,12 @@ class LaggedModel:
         data: Term,
         weights: Floats,
         x: Floats,
-        options: SecantOptions = SecantOptions(),
+        options: SecantOptions | None = None,
     ) -> None:
-        """Linearise ``data`` at x (p, 3), its points having ``weights`` (k,)."""
+        """Linearise ``data`` at x (p, 3), its points having ``weights`` (k,).
+
+        Without ``options`` nothing is learned.
+        """
         self.jacobian = jacobian
         self.weights = weights
         self._curvature: Curvature = data.curvature(x)
@@ -71,6 +74,8 @@ class LaggedModel:
     def learn(self, change: Floats, left: Floats) -> None:
         """Learn of a ``change`` (k,) of q what its motion ``left`` to be foreseen, (size,)."""
         options = self._options
+        if options is None:
+            return
         ahead = self.hessian @ change
         size = float(change @ ahead)
         motion = np.zeros(self.jacobian.held.shape[0])
