@@ -76,6 +76,8 @@ class MarkerOptions:
     tracking: TrackingOptions = field(
         default_factory=lambda: TrackingOptions(
             stop=StopOptions(3, promised=6e-2),
+            # few points tell little of what a step misses: the jaw would be 2 to 10 % further off
+            secants=None,
             stale_frames=15,  # covariances are made of the sensitivities, too
             corrector=CorrectorOptions(long_mm=1.5, close_mm=0.4),
             whole=ActivationOptions(15, tolerance=1e-3),

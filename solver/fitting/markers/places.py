@@ -46,7 +46,7 @@ class RefineOptions:
     tracking: MarkerOptions = field(default_factory=MarkerOptions)  # of the take
     # of a frame, in place of the take's: the next lies far away
     steps: TrackingOptions = field(
-        default_factory=lambda: TrackingOptions(StopOptions(10, promised=2e-3))
+        default_factory=lambda: TrackingOptions(StopOptions(10, promised=2e-3), secants=None)
     )
 
 

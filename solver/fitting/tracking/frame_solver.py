@@ -2,7 +2,8 @@
 
 A frame takes a few SQP steps in (x, a, b): a Gauss-Newton step of the pose, then corrections of the
 equilibrium with the Hessian of a frame or a few ago. The sensitivities lag for longer still,
-as they cost most and an error in them changes the objective to second order only. Where nothing
+as they cost most and an error in them changes the objective to second order only; they learn from
+steps what they miss (:mod:`.lagged`). Where nothing
 comes of new sensitivities either, the frame is fitted as any expression is, from the frame before;
 or left at that, if that is about as good as it was.
 """
@@ -28,6 +29,7 @@ from solver.fitting.least_squares import (
 from solver.fitting.objective import Prior, SumTerm, Term
 from solver.fitting.sensitivity import Jacobian, Sensitivity
 from solver.fitting.steps import FeasibleStepOptions
+from solver.fitting.tracking.lagged import LaggedModel, SecantOptions
 from solver.mechanics.equilibrium import CorrectorOptions, correct, untangle
 from solver.mechanics.newton import Factorization
 from solver.surface import Floats
@@ -39,7 +41,7 @@ class TrackingOptions:
 
     # SQP steps at most, the part of f that a step has to promise, and the part of f that one has to
     # gain for another one to be tried
-    stop: StopOptions = field(default_factory=lambda: StopOptions(3, promised=8e-3, gained=0.1))
+    stop: StopOptions = field(default_factory=lambda: StopOptions(3, promised=2e-2, gained=0.1))
     least_ratio: float = 0.2  # of a gain to the promised one, below which the frame's steps end
     damping: DampingOptions = field(
         default_factory=lambda: DampingOptions(1e-3, least=1e-4, most=1.0, good=0.7, bad=0.4)
@@ -48,25 +50,13 @@ class TrackingOptions:
     # sensitivities: where flesh buckles these help little ...
     lagged_frames: int = 15
     stale_frames: int = 90  # ... and one that takes all its steps gets none
+    secants: SecantOptions | None = field(default_factory=SecantOptions)  # None: nothing is learned
     corrector: CorrectorOptions = field(default_factory=CorrectorOptions)
     steps: FeasibleStepOptions = field(default_factory=FeasibleStepOptions.quick)  # within bounds
     # effort of a frame that is fitted as any expression is
     whole: ActivationOptions = field(default_factory=lambda: ActivationOptions(20, tolerance=1e-3))
     stuck: float = 1.1  # growth of f up to which a frame without a way down stays as it was
     reseen: float = 0.1  # part of the points' weight that moves before a matrix is made anew
-
-
-@dataclass(frozen=True)
-class _LaggedModel:
-    """Sensitivities of a frame before, and the pose's Gauss-Newton matrix without priors."""
-
-    jacobian: Jacobian
-    weights: Floats  # (k,) of the points that the matrix is of
-    hessian: Floats
-
-    @classmethod
-    def of(cls, jacobian: Jacobian, data: Term, weights: Floats, x: Floats) -> _LaggedModel:
-        return cls(jacobian, weights, jacobian.contract(data.curvature(x)))
 
 
 class FrameSolver:
@@ -83,7 +73,7 @@ class FrameSolver:
         self.state = start
         self._options = options
         self._descent = DescentOptions(steps=options.steps)
-        self._lagged: _LaggedModel | None = None
+        self._lagged: LaggedModel | None = None
         self._age = 0
         self._expired = False
         self._value = np.inf
@@ -114,7 +104,7 @@ class FrameSolver:
         if lagged and (
             np.abs(weights - lagged.weights).sum() >= options.reseen * np.abs(weights).sum()
         ):
-            lagged = _LaggedModel.of(lagged.jacobian, data, weights, self.state.x)
+            lagged = self._linearised(lagged.jacobian, data, weights)
             self._lagged = lagged
             self._search.forget()
         if lagged and self._expired:
@@ -166,7 +156,7 @@ class FrameSolver:
         near = _correct(self.face, self.state, pose, guess, self._options.corrector)
         self.state = near or self.face.continuation(self.state, pose)
 
-    def relinearise(self, data: Term, weights: Floats) -> _LaggedModel:
+    def relinearise(self, data: Term, weights: Floats) -> LaggedModel:
         """Make the sensitivities of the state as it is, with its Hessian if that is another's."""
         pose = self.state.pose
         found = self.state.equilibrium
@@ -177,13 +167,16 @@ class FrameSolver:
             factorization = Factorization(self.face.flesh, self.face.linear, found.x, a)
             self.state = PosedFace(pose, replace(found, factor=factorization))
         jacobian = Sensitivity(self.face, self.state).by_pose().in_single_precision()
-        self._lagged = _LaggedModel.of(jacobian, data, weights, self.state.x)
+        self._lagged = self._linearised(jacobian, data, weights)
         self._search.forget()
         self._age = 0
         return self._lagged
 
+    def _linearised(self, jacobian: Jacobian, data: Term, weights: Floats) -> LaggedModel:
+        return LaggedModel(jacobian, data, weights, self.state.x, self._options.secants)
+
     def _fit_lagged(
-        self, lagged: _LaggedModel, data: Term, contact: Term | None, prior: Prior
+        self, lagged: LaggedModel, data: Term, contact: Term | None, prior: Prior
     ) -> LeastSquaresSolution[PosedFace] | None:
         """Fit a frame with lagged derivatives; None if the first step leads nowhere."""
         corrector = self._options.corrector
@@ -198,7 +191,7 @@ class _FrameProblem:
     """f of a frame by lagged derivatives: a :class:`~.least_squares.LeastSquaresProblem`."""
 
     face: Face
-    lagged: _LaggedModel
+    lagged: LaggedModel
     data: Term
     contact: Term | None
     regulariser: Prior
@@ -210,12 +203,11 @@ class _FrameProblem:
         return activation.objective(self.data, self.regulariser, point) + touching
 
     def linearise(self, point: PosedFace) -> _FrameModel:
-        jacobian = self.lagged.jacobian
-        gradient = jacobian.adjoint(self.data.gradient(point.x))
+        gradient = self.lagged.adjoint(self.data.gradient(point.x))
         gradient += self.regulariser.gradient(point.pose)
         touching = self._touching(point)
         if touching:
-            gradient += jacobian.adjoint(touching.gradient(point.estimate))
+            gradient += self.lagged.adjoint(touching.gradient(point.estimate))
         return _FrameModel(self, point, gradient)
 
     def hessian(self, point: PosedFace) -> Floats:
@@ -232,13 +224,17 @@ class _FrameProblem:
         return self.contact if self.contact and self.contact.value(point.estimate) else None
 
     def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:
-        """Correct the equilibrium, no more."""
+        """Correct the equilibrium, no more, and learn from what the sensitivities have missed."""
         face = self.face
         flesh = self.face.flesh
         pose = point.pose.add(step.change)
-        x = flesh.add_motion(point.x, self.lagged.jacobian.flesh_motion(step.change))
+        x = flesh.add_motion(point.x, self.lagged.flesh_motion(step.change))
         x[face.model.mandible] = face.mandible(pose.b)
-        return _correct(face, point, pose, x, self.corrector)
+        found = _correct(face, point, pose, x, self.corrector)
+        if found is not None:
+            missed = (found.x - x)[flesh.free].ravel()
+            self.lagged.learn(pose.vector() - point.pose.vector(), missed)
+        return found
 
 
 @dataclass(frozen=True)
