@@ -229,6 +229,17 @@ def with_prefix(arrays: Arrays, prefix: str) -> Arrays:
     return {name.removeprefix(prefix): array for name, array in named.items()}
 
 
+def hash_file(path: Path) -> str:
+    """Return the SHA-256 of a file's content."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def hash_files(files: Mapping[str, Path]) -> dict[str, str]:
+    """Return the hash of each file by its name."""
+    return {name: hash_file(path) for name, path in files.items()}
+
+
 def write_json(path: Path, values: Any) -> None:
     """Write JSON values for people as well as programs: indented, all of them finite."""
     path.write_text(json.dumps(values, indent=2, allow_nan=False) + "\n", encoding="utf-8")

@@ -6,7 +6,6 @@ process of its own, the offline command line directly.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -110,15 +109,6 @@ class _Files(dict[str, Path]):
         given = ", ".join(self) or "no file"
         message = f"the job needs the file {name}, and was given {given}"
         raise InputError("job.missing", message, expected=name, found=sorted(self))
-
-
-def hash_files(files: Mapping[str, Path]) -> dict[str, str]:
-    """Return the hash of each file by its name."""
-    hashes = {}
-    for name, path in files.items():
-        with path.open("rb") as stream:
-            hashes[name] = hashlib.file_digest(stream, "sha256").hexdigest()
-    return hashes
 
 
 def _as_paths(files: Mapping[str, Path | str] | None) -> dict[str, Path]:

@@ -128,7 +128,8 @@ def _figures(model: SubjectModel, own: OwnShapes, shots: list[TrackShot]) -> dic
             "turned_tets": _count_inverted(model, pose.target),
         }
         if name in own.left_mm:
-            shape |= {"on_top_of": _sum_of(tracks, number), "left_mm": own.left_mm[name]}
+            left = round(own.left_mm[name], 4)
+            shape |= {"on_top_of": _sum_of(tracks, number), "left_mm": left}
         shapes.append(shape)
     lengths = tracks.lines.lengths(model.rest)
     points = np.diff(tracks.lines.first)

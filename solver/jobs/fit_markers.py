@@ -27,7 +27,7 @@ from solver.fitting.prior import GaussianPrior
 from solver.fitting.strips import strip_names
 from solver.fitting.target_checks import check_held
 from solver.fitting.tracking import Tracker
-from solver.jobs import Task, hash_files, read_template
+from solver.jobs import Task, read_template
 from solver.jobs.fits import solve_basis
 from solver.jobs.live_off import LiveOff
 from solver.jobs.marker_frames import (
@@ -50,6 +50,7 @@ from solver.scans.markers.places.face_take import USUAL_RATE, count_tracks, fram
 from solver.scans.markers.places.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.prepare import MendedTake, PreparedTake, PrepareOptions
 from solver.scans.markers.readers.take import Take, read_take
+from solver.storage import hash_files
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from PIL import Image
 
 from solver.animation import PosedFrame
 from solver.errors import SolveError
-from solver.jobs import Task, hash_files
+from solver.jobs import Task
 from solver.kinds.scene_edits import FatEntry
 from solver.neck.anatomy import BODIES
 from solver.neck.skin import two_bones
@@ -44,6 +44,7 @@ from solver.scene.neck import CarriedHead
 from solver.scene.places import Places
 from solver.simulation import Stepped
 from solver.simulation.forces import Drive, FleshMotion
+from solver.storage import hash_files
 from solver.surface import Floats
 
 

@@ -24,7 +24,7 @@ from solver.errors import InputError, quote, quote_names
 from solver.kinds import FILES
 from solver.kinds.live_session import PART
 from solver.model import SubjectModel, identity
-from solver.storage import Archive, Arrays
+from solver.storage import Archive, Arrays, hash_file
 from solver.surface import Floats
 
 log = structlog.get_logger(__name__)
@@ -80,12 +80,6 @@ class SentTake:
 def part_of(take: Path) -> Path:
     """Return the file of what was sent of a take while its session lasts."""
     return take.with_name(f"sent_{take.name}{PART}")
-
-
-def hash_take(take: Path) -> str:
-    """Return the hash of a take's file, by which it is known."""
-    with take.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def write_takes(
@@ -181,7 +175,7 @@ class SentFaces:
         if not isinstance(of, dict) or {**of, **identity(model, S)} != of:
             message = f"{path.name} is of a live session with another rig"
             raise InputError("live_takes.rig", message, file=path.name)
-        digest = hash_take(take) if take.is_file() else ""  # a folder of scans is none
+        digest = hash_file(take) if take.is_file() else ""  # a folder of scans is none
         found = next((each for each in takes if each.sha256 == digest), None)
         if found is None:
             names = ", ".join(quote_names([each.name for each in takes])) or "none"

@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 from solver.errors import InputError, quote
 from solver.kinds.live_session import PART, Source
 from solver.live.landmarks import IMAGE_AXES
-from solver.live.sent import AMOUNT, TOLD, SentModes, SentTake, hash_take, part_of, write_takes
+from solver.live.sent import AMOUNT, TOLD, SentModes, SentTake, part_of, write_takes
 from solver.scans.markers.readers.take import Take
 from solver.scans.performance import ARKIT_NAMES, FaceTake, head_turn, write_performance
 from solver.scans.performance import write_signals as write_recording
+from solver.storage import hash_file
 from solver.surface import Floats
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
@@ -177,7 +178,7 @@ def _leave_sent(
     told: list[float | None] = known[-1].round(4).tolist() if len(known) else [None, None]
     error = dict(zip(TOLD, told, strict=True))
     frames = np.flatnonzero(sent)
-    left = SentTake(header["name"], hash_take(take), error, frames, amounts[sent])
+    left = SentTake(header["name"], hash_file(take), error, frames, amounts[sent])
     write_takes(part_of(take), header["of"], [left])
 
 

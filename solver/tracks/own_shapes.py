@@ -24,7 +24,7 @@ from solver.model import SubjectModel
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.fit import fit
 from solver.tracks.plain import PlainFace
-from solver.tracks.shapes import ShapeOnTop, before_skinning
+from solver.tracks.shapes import ShapeOnTop, before_skinning, skinning_of_skin
 
 PREFIX = "own_"  # of their names: scans may be called as the template's shapes are
 
@@ -42,7 +42,7 @@ def with_own_shapes(
 ) -> OwnShapes:
     """Return a model's ``tracks`` with a shape for each of its registered ``scans`` by name."""
     face = PlainFace(model, tracks)
-    on_skin = np.clip(model.embedding @ tracks.skinning, 0.0, 1.0)
+    on_skin = skinning_of_skin(model, tracks.skinning)
     shapes = []
     left = {}
     for name, scan in scans.items():
@@ -56,5 +56,5 @@ def with_own_shapes(
         weights, jaw = np.split(state.q, [len(tracks.names)])
         trust = scan.confidence[model.embedded]
         shapes.append(ShapeOnTop(PREFIX + name, weights, jaw, scanned - usual, trust))
-        left[PREFIX + name] = round(float(np.nanmean(target.distances(skin[model.face]))), 4)
+        left[PREFIX + name] = float(np.nanmean(target.distances(skin[model.face])))
     return OwnShapes(tracks.with_shapes(model, shapes), left)

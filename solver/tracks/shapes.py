@@ -82,6 +82,11 @@ def skinning_weights(model: SubjectModel, laplacian: sp.csr_array) -> Floats:
     return np.clip(HarmonicExtension(laplacian, given, trace=1e-9)(values), 0.0, 1.0)
 
 
+def skinning_of_skin(model: SubjectModel, skinning: Floats) -> Floats:
+    """Return o (e,) on the skin vertices that follow the flesh, of that in the flesh (p,)."""
+    return np.asarray(np.clip(model.embedding @ skinning, 0.0, 1.0))
+
+
 @dataclass(frozen=True)
 class JawFreeShapes:
     """K shapes without the jaw, on the e skin vertices that follow the flesh."""
@@ -105,7 +110,7 @@ class JawFreeShapes:
         Raises as :func:`check_shapes`.
         """
         check_shapes(model, shapes)
-        on_skin = np.clip(model.embedding @ skinning, 0.0, 1.0)
+        on_skin = skinning_of_skin(model, skinning)
         teeth, notices = _teeth(model, on_skin, options)
         split = _JawSplit(model, on_skin, teeth, options.still_mm)
         numbers = []

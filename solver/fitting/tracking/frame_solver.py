@@ -3,9 +3,9 @@
 A frame takes a few SQP steps in (x, a, b): a Gauss-Newton step of the pose, then corrections of the
 equilibrium with the Hessian of a frame or a few ago. The sensitivities lag for longer still,
 as they cost most and an error in them changes the objective to second order only; they learn from
-steps what they miss (:mod:`.lagged`). Where nothing
-comes of new sensitivities either, the frame is fitted as any expression is, from the frame before;
-or left at that, if that is about as good as it was.
+steps what they miss (:mod:`.lagged`). Where nothing comes of new sensitivities either, the frame is
+fitted as any expression is, from the frame before; or left at that, if that is about as good as it
+was.
 """
 
 from __future__ import annotations

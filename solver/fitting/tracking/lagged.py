@@ -21,7 +21,7 @@ import numpy as np
 
 from solver.fitting.objective import Curvature, Term
 from solver.fitting.sensitivity import Jacobian
-from solver.surface import Floats, Ints
+from solver.surface import Floats
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ class LaggedModel:
 
     def adjoint(self, gradient: Floats) -> Floats:
         """Return (dx/dq)^T g (k,) for g by x, (p, 3)."""
-        pull = gradient.ravel()[self._free]
         found = self.jacobian.adjoint(gradient)
+        pull = gradient.ravel()[self.jacobian.free]
         for left, along in zip(self._left, self._along, strict=True):
             found += (left @ pull) * along
         return found
@@ -79,7 +79,7 @@ class LaggedModel:
         ahead = self.hessian @ change
         size = float(change @ ahead)
         motion = np.zeros(self.jacobian.held.shape[0])
-        motion[self._free] = left
+        motion[self.jacobian.free] = left
         pull = self._curvature @ motion
         square = float(motion @ pull)
         if not options.least**2 * size < square < options.wild**2 * size:
@@ -95,7 +95,3 @@ class LaggedModel:
             self.jacobian = replace(self.jacobian, flesh=self.jacobian.flesh + added)
             self._left.clear()
             self._along.clear()
-
-    @property
-    def _free(self) -> Ints:
-        return self.jacobian.free

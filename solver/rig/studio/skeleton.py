@@ -21,7 +21,7 @@ from solver.mechanics.harmonic import laplacian
 from solver.model import SubjectModel
 from solver.similarity import move_each, move_each_back
 from solver.surface import Floats
-from solver.tracks.shapes import skinning_weights
+from solver.tracks.shapes import skinning_of_skin, skinning_weights
 
 HEAD = "head"
 JAW = "jaw"
@@ -91,7 +91,7 @@ def _jaw_weights(model: SubjectModel) -> Floats:
     gradients, volumes = shape_gradients(model.rest, model.tets)
     flesh = skinning_weights(model, laplacian(gradients, volumes, model.tets, len(model.rest)))
     found = np.zeros((len(model.skin.vertices), 1))
-    found[model.embedded, 0] = np.clip(model.embedding @ flesh, 0.0, 1.0)
+    found[model.embedded, 0] = skinning_of_skin(model, flesh)
     found[model.attached_mandible] = 1.0
     loose = LooseSkin(model)
     found[loose.ids] = loose.follow(found)
