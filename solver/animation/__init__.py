@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 from typing_extensions import override
@@ -83,12 +85,26 @@ def track(
         return lambda _time: np.zeros(values.shape[1])
     if len(times) == 1:
         return lambda _time: values[0]
+    if interpolation == "linear":
+        return partial(on_lines, np.asarray(times), values)
     first = times[0]
     last = times[-1]
-    if interpolation == "smooth":
-        curve = PchipInterpolator(times, values)
-        return lambda time: np.asarray(curve(min(max(time, first), last)))
-    return lambda time: np.array([np.interp(time, times, column) for column in values.T])
+    curve = PchipInterpolator(times, values)
+    return lambda time: np.asarray(curve(min(max(time, first), last)))
+
+
+def on_lines(keys: Floats, table: NDArray[np.floating], times: Floats | float) -> Floats:
+    """Return a ``table`` (k, ...) of ``keys`` (k,) at ``times`` (...), on straight lines.
+
+    Before the first key and after the last it is as there.
+    """
+    after = np.clip(np.searchsorted(keys, times), 1, max(len(keys) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(keys) - 1)
+    span = np.where(after > before, keys[after] - keys[before], 1.0)
+    share = np.clip((times - keys[before]) / span, 0.0, 1.0)
+    share = share.reshape(*np.shape(times), *[1] * (table.ndim - 1))
+    return np.asarray((1.0 - share) * table[before] + share * table[after])
 
 
 # heads turn about the upper neck

@@ -314,7 +314,7 @@ class GaussNewton:
                 length = min(length, 1.0)
             step = step + length * direction
             curved = curved + length * image
-        fraction = 1.0 / max(self._layout.reach(step) / trust, 1.0)
+        fraction = self._layout.part_within(trust, step)
         part = fraction * step
         curved = fraction * (curved - units * step)
         step = bounds.keep(self._q, part)
@@ -408,8 +408,7 @@ class DenseModel:
         damped[np.diag_indices_from(damped)] += damping * self.layout.damping
         within = self.layout.steps(damped, self.gradient, self.q, options=self.options)
         step = within.best(self.gradient)
-        # cut as a whole: with its turn cut alone, a jaw would be shifted in its place
-        step = step / max(self.layout.reach(step) / trust, 1.0)
+        step = self.layout.part_within(trust, step) * step
         step = self.layout.bounds.keep(self.q, step)
         image = self.hessian @ step
         slope = float(self.gradient @ step)

@@ -169,6 +169,13 @@ class Layout:
         """Return the length of a ``step`` (size,): 1 is what a linear model is surely good for."""
         return float((np.abs(step) / self._reaches).max())
 
+    def part_within(self, trust: float, step: Floats) -> float:
+        """Return the part of a ``step`` (size,) that is no longer than ``trust``, 1 being all.
+
+        It is cut as a whole: with its turn cut alone, a jaw would be shifted in its place.
+        """
+        return 1.0 / max(self.reach(step) / trust, 1.0)
+
     def part(self, name: str, q: Floats) -> Floats:
         """Return a view of a block in q (size,), in its shape."""
         return q[self[name]].reshape(self._shape(name))

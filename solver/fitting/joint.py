@@ -345,7 +345,7 @@ class _Linearised:
         state = self._state
         flesh = follower.flesh
         coupled = follower.coupled
-        by_pose = fraction / max(self._layout.reach(follower.by_pose), 1.0) * follower.by_pose
+        by_pose = fraction * self._layout.part_within(1.0, follower.by_pose) * follower.by_pose
         if not self._layout.bounds.is_free:
             by_pose = self._layout.bounds.clip(self._q + by_pose) - self._q
         # the undamped model's gain

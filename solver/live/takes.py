@@ -24,6 +24,7 @@ from solver.kinds.live_session import PART, Source
 from solver.live.landmarks import IMAGE_AXES
 from solver.live.sent import AMOUNT, TOLD, SentModes, SentTake, part_of, write_takes
 from solver.scans.markers.readers.take import Take
+from solver.scans.markers.signal.motion import last_true
 from solver.scans.performance import ARKIT_NAMES, FaceTake, head_turn, write_performance
 from solver.scans.performance import write_signals as write_recording
 from solver.storage import hash_file
@@ -259,9 +260,8 @@ def _write_weights(made: _Recorded) -> None:
 
 def _hold(numbers: Floats) -> Floats:
     """Return columns (f, c) whose NaN are as the last number before, 0 before the first."""
-    known = np.isfinite(numbers)
-    last = np.maximum.accumulate(np.where(known, np.arange(len(numbers))[:, None], -1), axis=0)
-    found = np.take_along_axis(np.nan_to_num(numbers), np.maximum(last, 0), axis=0)
+    last = last_true(np.isfinite(numbers))
+    found = np.take_along_axis(numbers, np.maximum(last, 0), axis=0)
     return np.where(last < 0, 0.0, found)
 
 

@@ -40,8 +40,13 @@ class Push:
 
     def at(self, time_s: float, head: Floats) -> Floats:
         """Return the force (3,) in the torso's axes at a time, of a ``head`` turned by (3, 3)."""
-        part = min(max(time_s / self.ramp_s, 0.0), 1.0) if self.ramp_s else 1.0
-        return np.asarray(part * (head @ self.force if self.turns_with_head else self.force))
+        force = head @ self.force if self.turns_with_head else self.force
+        return np.asarray(grown_part(time_s, self.ramp_s) * force)
+
+
+def grown_part(time_s: float, ramp_s: float) -> float:
+    """Return the part, from 0 to 1, of a force at a time that grows from 0 s on for ``ramp_s``."""
+    return min(max(time_s / ramp_s, 0.0), 1.0) if ramp_s else 1.0
 
 
 @dataclass(frozen=True)

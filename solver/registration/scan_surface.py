@@ -104,7 +104,7 @@ def scan_surface(scan: RawScan, mm_per_unit: float) -> ScanSurface:
         share = np.bincount(piece, area) / max(float(area.sum()), 1e-12)
         surface = part_of(surface, np.flatnonzero(share[piece] >= SURFACE.small_piece))
         check_size(len(surface.vertices), scan.file)
-        return MeshScan(surface.flipped() if looks_inward(surface) else surface)
+        return MeshScan(turned_outward(surface))
     points = _thin_points(vertices, SURFACE.max_vertices)
     check_size(len(points), scan.file)
     return CloudScan(points)
@@ -208,11 +208,11 @@ def mean_by_cell(values: Floats, number: Ints) -> Floats:
     return np.asarray(sums / np.bincount(number)[:, None])
 
 
-def looks_inward(surface: Surface) -> bool:
-    """Return whether most triangles of a scan look inward."""
+def turned_outward(surface: Surface) -> Surface:
+    """Return a scan's surface, all triangles flipped where most of them look inward."""
     normal = area_normals(surface.vertices, surface.faces)
     away = surface.vertices[surface.faces].mean(axis=1) - np.median(surface.vertices, axis=0)
-    return float(np.sum(normal * away)) < 0
+    return surface.flipped() if float(np.sum(normal * away)) < 0 else surface
 
 
 def _smooth_normals(surface: Surface, radius: float) -> Floats:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from solver.animation import Drives
+from solver.animation import Drives, on_lines
 from solver.animation import neck as pivot_of
 from solver.errors import Finding, make_warning
 from solver.fitting.face import HungSkin
@@ -90,7 +90,7 @@ class CarriedHead:
 
     def _pose(self, time: float) -> NeckPose:
         """Return the neck at ``time`` in s."""
-        return self.placed.neck.pose(_between(self.motion.times, self.motion.turns, time))
+        return self.placed.neck.pose(on_lines(self.motion.times, self.motion.turns, time))
 
     def head(self, time: float) -> Similarity:
         """Return the head's motion into the world, in which the torso stands still."""
@@ -124,7 +124,7 @@ class CarriedHead:
 
     def activations(self, time: float) -> Floats:
         """Return the activations (m,) of the neck's muscles at ``time``; none without them."""
-        return _between(self.motion.times, self.motion.activations, time)
+        return on_lines(self.motion.times, self.motion.activations, time)
 
     @property
     def notices(self) -> list[Finding]:
@@ -232,13 +232,3 @@ def _between_frames(goal: HeadGoal, steps: int) -> HeadGoal:
     vectors = np.array([goal(time).as_rotvec() for time in times.tolist()])
     held = np.append(np.repeat(goal.held[:-1] | goal.held[1:], steps), goal.held[-1])
     return replace(goal, times=times, vectors=vectors, held=held)
-
-
-def _between(times: Floats, table: Floats, time: float) -> Floats:
-    """Return a table (n, ...) of ``times`` (n,) at ``time``, on straight lines."""
-    if len(times) == 1:
-        return np.asarray(table[0])
-    after = int(np.clip(np.searchsorted(times, time), 1, len(times) - 1))
-    span = times[after] - times[after - 1]
-    part = float(np.clip((time - times[after - 1]) / span, 0.0, 1.0))
-    return np.asarray((1.0 - part) * table[after - 1] + part * table[after])

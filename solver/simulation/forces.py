@@ -26,6 +26,7 @@ from solver.mechanics.boundary import straight
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.terms import Springs
 from solver.model import SubjectModel
+from solver.neck.motion import grown_part
 from solver.similarity import Similarity
 from solver.surface import Floats, area_normals
 
@@ -226,5 +227,5 @@ class Pull(ExternalForce):
 
     @override
     def at(self, motion: FleshMotion, time: float, /) -> Floats:
-        part = np.clip(time / self._ramp, 0.0, 1.0) if self._ramp else 1.0
+        part = grown_part(time, self._ramp)
         return np.asarray(self._share[:, None] * (part * motion.head.rotation @ self._force))

@@ -32,7 +32,7 @@ from solver.registration.landmarks import match, read_landmarks
 from solver.registration.locate import face_surface
 from solver.registration.register import RegisteredFace, register
 from solver.registration.report import report
-from solver.registration.scan_surface import looks_inward, sample
+from solver.registration.scan_surface import sample, turned_outward
 from solver.registration.search import face_points
 from solver.registration.topology import Topology, topology
 from solver.registration.units import AXES, FRAME
@@ -168,9 +168,7 @@ def _place(
     """
     start = face.start
     motion = face.motion
-    surface = Surface(start.mm_per_unit * raw.vertices, raw.faces)
-    if looks_inward(surface):
-        surface = surface.flipped()
+    surface = turned_outward(Surface(start.mm_per_unit * raw.vertices, raw.faces))
     up = np.array(AXES[start.up])
     forward = np.array(AXES[start.forward])
     axes = np.stack([np.cross(up, forward), up, forward])

@@ -21,6 +21,7 @@ import numpy as np
 import pygltflib as gl
 from scipy.spatial.transform import Rotation, Slerp
 
+from solver.animation import on_lines
 from solver.errors import SolveError
 from solver.rig.frames import SequenceFrame
 from solver.rig.frames.gltf import (
@@ -34,7 +35,7 @@ from solver.rig.frames.gltf import (
 )
 from solver.rig.frames.gltf_buffer import METRES, Buffer
 from solver.rig.frames.joints import Joints
-from solver.rig.frames.read_back import MorphedSkin, between, compare_motion, read_glb
+from solver.rig.frames.read_back import MorphedSkin, compare_motion, read_glb
 from solver.rig.frames.skin_basis import Basis, Singles, SkinBasisOptions, normal_shapes, span_skins
 from solver.similarity import small_motion
 from solver.surface import Floats, Ints, Surface
@@ -194,7 +195,7 @@ def _skin_error(basis: Basis, times: Floats) -> Error:
 
     def error(first: int, last: int, frames: Ints) -> Floats:
         ends = [first, last]
-        shown = between(times[ends], basis.weights[ends], times[frames])
+        shown = on_lines(times[ends], basis.weights[ends], times[frames])
         off = (shown - basis.weights[frames]).astype(np.float32)
         return np.array([_greatest((row @ shapes).reshape(-1, 3)) for row in off])
 
@@ -210,12 +211,12 @@ def _rigid_error(shape: Surface, places: Floats, times: Floats) -> Error:
     def error(first: int, last: int, frames: Ints) -> Floats:
         ends = times[[first, last]]
         now = times[frames]
-        shifts = between(ends, places[[first, last], 3:], now) - places[frames, 3:]
+        shifts = on_lines(ends, places[[first, last], 3:], now) - places[frames, 3:]
         quaternions = turns[[first, last]].as_quat()
         quaternions[1] *= np.copysign(1.0, quaternions[0] @ quaternions[1])
         # by glTF it turns steadily, Blender draws quaternions' entries as lines: both count
         steady = Slerp(ends, turns[[first, last]])(now)
-        straight = Rotation.from_quat(between(ends, quaternions, now))
+        straight = Rotation.from_quat(on_lines(ends, quaternions, now))
         apart = [
             way[number].apply(corners) - turns[frame].apply(corners) + shifts[number]
             for number, frame in enumerate(frames)

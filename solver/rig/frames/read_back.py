@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from solver.animation import on_lines
 from solver.errors import SolveError
 from solver.meshio.glb import COMPONENTS, WIDTHS
 from solver.rig.frames.joints import ReadJoints, read_joints, turn_between
@@ -193,9 +194,9 @@ def read_glb(path: Path, node: int = 0) -> MorphedSkin:
         shifts = np.zeros((len(times), 3))
         if "weights" in tracks:
             keys, table = tracks["weights"]
-            weights = between(keys, table.reshape(len(keys), len(shapes)), times)
+            weights = on_lines(keys, table.reshape(len(keys), len(shapes)), times)
         if "translation" in tracks:
-            shifts = METRE * between(*tracks["translation"], times)
+            shifts = METRE * on_lines(*tracks["translation"], times)
         if "rotation" in tracks:
             turns = turn_between(*tracks["rotation"], times)
         return weights, turns, shifts
@@ -205,16 +206,6 @@ def read_glb(path: Path, node: int = 0) -> MorphedSkin:
     if "skin" in moved:
         joints = read_joints(document, document["skins"][moved["skin"]], values, part)
     return MorphedSkin(neutral, names, shapes, motion, joints)
-
-
-def between(keys: Floats, table: np.ndarray, times: Floats) -> Floats:
-    """Return a table (k, c) of ``keys`` (k,) at ``times``, on straight lines."""
-    after = np.clip(np.searchsorted(keys, times), 1, max(len(keys) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(keys) - 1)
-    span = np.where(after > before, keys[after] - keys[before], 1.0)
-    share = np.clip((times - keys[before]) / span, 0.0, 1.0)[:, None]
-    return np.asarray((1.0 - share) * table[before] + share * table[after])
 
 
 # Reading of GLB files, and structural checks for places without the Khronos validator.

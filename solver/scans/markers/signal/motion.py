@@ -97,7 +97,7 @@ def _hold_head(positions: Floats) -> tuple[Floats, Floats, Floats]:
         rotations, shifts = weighted_motions(points, np.nan_to_num(middle), weights * known)
         is_placed = (seen & known).sum(axis=1) >= MOTION.least_markers
         if is_placed.any():  # other frames keep the motion before, the first ones the next
-            last = _last_true(is_placed)
+            last = last_true(is_placed)
             last[last < 0] = int(np.argmax(is_placed))
             rotations = rotations[last]
             shifts = shifts[last]
@@ -110,7 +110,7 @@ def _hold_head(positions: Floats) -> tuple[Floats, Floats, Floats]:
     return rotations, shifts, middle
 
 
-def _last_true(mask: Mask) -> Ints:
+def last_true(mask: Mask) -> Ints:
     """Return the row of the last True up to each row of a mask (f, ...), -1 before the first."""
     rows = np.arange(len(mask)).reshape(-1, *[1] * (mask.ndim - 1))
     return np.maximum.accumulate(np.where(mask, rows, -1), axis=0)
@@ -344,7 +344,7 @@ def _places_before(places: Floats) -> tuple[Floats, Ints]:
     """Return where markers (f, k, 3) were seen last before each frame, and how many frames ago."""
     seen = np.isfinite(places[..., 0])
     numbers = np.arange(len(places))[:, None]
-    last = np.concatenate([np.full((1, seen.shape[1]), -1), _last_true(seen)[:-1]])
+    last = np.concatenate([np.full((1, seen.shape[1]), -1), last_true(seen)[:-1]])
     before = places[np.maximum(last, 0), np.arange(seen.shape[1])]
     before[last < 0] = np.nan
     return before, numbers - last

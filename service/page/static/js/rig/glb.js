@@ -7,7 +7,8 @@ import { Track } from "./track.js";
 
 const MAGIC = 0x46546c67;
 const JSON_CHUNK = 0x4e4f534a;
-const MM = 1000;
+/** Millimetres in a file's unit. */
+export const MM = 1000;
 const WIDTH = { SCALAR: 1, VEC3: 3, VEC4: 4, MAT4: 16 };
 /** Arrays of the types of numbers in a file. */
 const ARRAYS = {

@@ -2,10 +2,10 @@
 
 import { Color, GLTFLoader, TextureLoader, Vector3 } from "../../vendor/three.js";
 import { box } from "../rig/figure.js";
+import { MM } from "../rig/glb.js";
 import { rimPlane } from "../rig/rim.js";
 import { SkinDetail } from "./detail.js";
 
-const MM = 1000; // the stage's unit; a GLB has metres
 const RADIANS = Math.PI / 180;
 const SKIN = "skin"; // the node's name
 const HALF = "_half"; // ends the name of a shape that is added half way into another one
