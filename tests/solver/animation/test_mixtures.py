@@ -1,0 +1,56 @@
+"""Mixtures of shapes, fitted one after another as controls are learned from them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from solver.animation.controls.exact import MixtureTracker
+from solver.fitting.face import Face, Pose
+from solver.surface import Floats
+from tests.solver.block import block_model
+
+
+@pytest.fixture(scope="module")
+def face() -> Face:
+    return Face(block_model())
+
+
+@pytest.fixture(scope="module")
+def motions(face: Face) -> Floats:
+    """Of the face's points by two shapes: one of muscles, one of the jaw."""
+    a = np.array([[s, 0.0, 0.0, s**-0.5, 0.0, s**-0.5] for s in (0.65, 0.8)])
+    rest = face.rest_pose()
+    poses = (Pose(a, rest.b), Pose(rest.a, np.array([0.12, 0.0, 0.0, 0.0, 0.0])))
+    states = [face.continuation(face.rest, pose) for pose in poses]
+    return np.array([face.face_points(state.x) - face.face_points(face.rest.x) for state in states])
+
+
+def test_a_mixture_that_ends_far_off_is_fitted_again_where_it_has_come_to(
+    face: Face, motions: Floats
+) -> None:
+    once, again, content = (MixtureTracker(face, motions, mm) for mm in (np.inf, 0.0, 1.0))
+    off = []
+    for weights in (np.array([1.0, 0.0]), np.array([0.0, 1.0])):
+        fits = [each.fit(weights) for each in (once, again, content)]
+        off = [np.inf if fit is None else fit.off_mm for fit in fits]
+    # by the sensitivities at the mixture before, of the other shape alone
+    assert off[0] > 0.01
+    assert off[1] < 0.1 * off[0]
+    assert off[2] == off[0]
+
+
+def test_sensitivities_that_expired_are_made_anew_for_one_frame(
+    face: Face, motions: Floats
+) -> None:
+    mixtures = MixtureTracker(face, motions)
+    solver = mixtures.tracker.solver
+    used = []
+    for expires in (False, False, True, False):
+        if expires:
+            solver.expire()
+        assert mixtures.fit(np.array([0.1, 0.0])) is not None
+        used.append(solver.jacobian)
+    assert used[0] is used[1]
+    assert used[2] is not used[1]
+    assert used[3] is used[2]
