@@ -251,8 +251,12 @@ def _real(options: argparse.Namespace, kit: FaceKit, rig: Rig, shapes: Floats) -
         take = read_take(options.takes / f"{name}.c3d")
         source = BoundTake(take, bind(take, model).markers, 4)
         numbers = source.frames[::REAL_STEP][: options.frames]
-        frames = [source.points(number) for number in numbers]
-        given = (source.points, source.frames, 1.0 / take.rate, REFINING)
+
+        def points(number: int, source: BoundTake = source) -> Floats:
+            return source.frame(number).points
+
+        frames = [points(number) for number in numbers]
+        given = (points, source.frames, 1.0 / take.rate, REFINING)
         used = refine_by_take(face, source.markers, known, *given)
         sigma = np.array([each.sigma_mm for each in used])
         seconds = REAL_STEP / take.rate

@@ -103,15 +103,16 @@ class FittedSequence:
         names = ("frames", "times", "fitted", "activations", "jaw", "head", "controls")
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
-    def between(self, start: int | None, end: int | None) -> FittedSequence:
-        """Return the frames from number ``start`` to before ``end``; None is where it has its ends.
+    def played(self, entry: PerformanceEntry) -> PlayedFrames:
+        """Return the frames that a scene's ``entry`` plays.
 
-        Raises :class:`InputError` (``scene.frames``) if there are no such frames.
+        Raises :class:`InputError`: ``scene.frames`` if there are no such frames, and as
+        :func:`_find_bridges` and :meth:`check_values`.
         """
         first = int(self.frames[0])
         last = int(self.frames[-1])
-        start = first if start is None else start
-        end = last + 1 if end is None else end
+        start = first if entry.start is None else entry.start
+        end = last + 1 if entry.end is None else entry.end
         chosen = (self.frames >= start) & (self.frames < end)
         if start < first or end > last + 1 or not chosen.any():
             asked = f"start {start} and end {end} are not within it, or no frame lies between"
@@ -119,10 +120,15 @@ class FittedSequence:
             reason = f"the performance {self.asset!r} has the frames {first} to {last}: {asked}"
             more = {"asset": self.asset, "start": start, "end": end}
             raise InputError("scene.frames", reason, expected=len(self.frames), **more)
-        return self.part(chosen)
+        played = self.part(chosen)
+        kept = ~_find_bridges(played, entry)
+        left = played.part(kept)
+        left.check_values()
+        times = (played.times - played.times[0]) / entry.speed
+        return PlayedFrames(times, times[kept], played.frames[~kept], left)
 
-    def of_muscles(self, names: Sequence[str]) -> FittedSequence:
-        """Return it with a face's muscles, in their order.
+    def places_of(self, names: Sequence[str]) -> list[int]:
+        """Return where a face's muscles are among those of the sequence.
 
         Raises :class:`InputError` (``sequence.muscles``) if it has others.
         """
@@ -134,8 +140,7 @@ class FittedSequence:
             more = {"asset": self.asset, "found": quote_names(other)}
             raise InputError("sequence.muscles", message, **more)
         place = {name: number for number, name in enumerate(self.muscles)}
-        order = [place[name] for name in names]
-        return replace(self, muscles=tuple(names), activations=self.activations[:, order])
+        return [place[name] for name in names]
 
     def check_values(self) -> None:
         """Raise :class:`InputError` (``sequence.values``) for a number that is none."""
@@ -156,6 +161,20 @@ class FittedSequence:
                 message = f"frame {frame} of the performance {self.asset!r}: {what} is no number"
                 more = {"asset": self.asset, "frame": frame, "muscle": muscle}
                 raise InputError("sequence.values", message, **more)
+
+
+@dataclass(frozen=True)
+class PlayedFrames:
+    """Frames of a sequence as a scene plays them, the first at time 0.
+
+    ``times`` (f,) are in s, ``moments`` (k,) those of the frames that are ``left`` to be played as
+    fitted; the others, ``bridged`` (f - k,), are blended over.
+    """
+
+    times: Floats
+    moments: Floats
+    bridged: Ints
+    left: FittedSequence
 
 
 def _sequence(asset: str, data: dict[str, np.ndarray]) -> FittedSequence:
@@ -220,21 +239,21 @@ class PlayedPerformance(Drives):
         self.muscles = _muscles_of(sequence, model, fibres)
         gains = _factors(entry.muscles, "muscles", entry, self.muscles) * entry.gain
         self.curve = _curve(entry, self.muscles, of_fibres=self.of_fibres)
-        played = sequence.of_muscles(self.muscles).between(entry.start, entry.end)
-        kept = ~find_bridges(played, entry)
-        self.times: Floats = (played.times - played.times[0]) / entry.speed
-        self.bridged = played.frames[~kept]
-        left = played.part(kept)
-        left.check_values()
+        places = sequence.places_of(self.muscles)
+        played = sequence.played(entry)
+        left = played.left
+        self.times: Floats = played.times
+        self.bridged = played.bridged
         self.frames = left.frames
         self.jaw = left.jaw
         self._neck = neck(model)
         self._start, turns, moves = played_head(left.head, self._neck, entry)
-        moments = self.times[kept]
+        moments = played.moments
+        activations = left.activations[:, places]
         if self.of_fibres:
-            strong = np.minimum(gains * left.activations, 1.0)
+            strong = np.minimum(gains * activations, 1.0)
         else:
-            entries = left.activations.reshape(-1, 6)
+            entries = activations.reshape(-1, 6)
             logarithms = to_logarithms(entries, LEAST_STRETCH, MOST_STRETCH)
             by_muscle = logarithms.reshape(len(moments), -1, 6)
             strong = (gains[:, None] * by_muscle).reshape(len(moments), -1)
@@ -283,7 +302,7 @@ def _curve(entry: PerformanceEntry, muscles: Sequence[str], *, of_fibres: bool) 
     return factors
 
 
-def find_bridges(played: FittedSequence, entry: PerformanceEntry) -> np.ndarray:
+def _find_bridges(played: FittedSequence, entry: PerformanceEntry) -> np.ndarray:
     """Return which frames (f,) are blended over; raises ``scene.bridges`` where all would be."""
     frames = played.frames
     bridged = ~played.fitted if entry.bridges.missing else np.zeros(len(frames), bool)

@@ -22,7 +22,7 @@ from solver.animation import (
     turn_about,
 )
 from solver.animation.blendshapes import DrivenShapes, ShapedPose
-from solver.animation.performance import FittedSequence, find_bridges, played_head
+from solver.animation.performance import FittedSequence, played_head
 from solver.errors import InputError, quote, quote_names
 from solver.fitting.interior_point import FeasibleSet
 from solver.kinds.scene import PerformanceEntry
@@ -102,12 +102,10 @@ class PlayedShapes(ShapeDrives):
             reason = f"was fitted with other shapes: the tracks have no {quote(other[0])!r}"
             message = f"the performance {entry.asset!r} {reason}"
             raise InputError("sequence.shapes", message, found=quote_names(other))
-        played = sequence.between(entry.start, entry.end)
-        kept = ~find_bridges(played, entry)
-        self.times: Floats = (played.times - played.times[0]) / entry.speed
-        self.bridged = played.frames[~kept]
-        left = played.part(kept)
-        left.check_values()
+        played = sequence.played(entry)
+        left = played.left
+        self.times: Floats = played.times
+        self.bridged = played.bridged
         self.frames = left.frames
         weights, jaw = np.split(left.controls, [len(sequence.shapes)], axis=1)
         order = [shapes.names.index(name) for name in sequence.shapes]
@@ -116,7 +114,7 @@ class PlayedShapes(ShapeDrives):
         self._start, turns, moves = played_head(left.head, self._neck, entry)
         values = np.hstack([placed, jaw, turns, moves])
         name = f"performance {entry.asset}"
-        self._track = track(self.times[kept].tolist(), values, name, interpolation)
+        self._track = track(played.moments.tolist(), values, name, interpolation)
 
     @override
     def controls(self, time: float) -> Floats:

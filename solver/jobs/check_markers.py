@@ -25,7 +25,6 @@ from solver.scans.markers.check import check_picture, check_take
 from solver.scans.markers.findings import ADVICE, MarkerCheck, add
 from solver.scans.markers.places.bind import Reference, rest_places
 from solver.scans.markers.places.face_take import frames_about
-from solver.scans.markers.places.marker_set import MarkerSet
 from solver.scans.markers.readers.take import read_take
 from solver.storage import write_json
 
@@ -78,10 +77,9 @@ def _reference(task: Task[CheckMarkers]) -> Reference:
     files = task.inputs
     if "rig" in files or "model" in files:
         model = SubjectModel.load(files.get("model", files.get("rig", Path())))
-        markers = MarkerSet.load(files["marker_set"], model) if "marker_set" in files else None
         shown = task.options.expression
         expression = None if shown is None else Rig.load(files).expression(shown)
-        return Reference.of(model, markers, expression)
+        return Reference.given(model, files, expression)
     return Reference(face_surface(read_template(task)))
 
 

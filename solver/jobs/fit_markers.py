@@ -47,9 +47,9 @@ from solver.rig import Rig
 from solver.rig.frames import sequence_report, write_sequence
 from solver.scans.markers.places.bind import Reference
 from solver.scans.markers.places.face_take import USUAL_RATE, count_tracks, frames_about
-from solver.scans.markers.places.marker_set import BoundTake, MarkerSet
-from solver.scans.markers.prepare import MendedTake, PreparedTake, PrepareOptions
-from solver.scans.markers.readers.take import Take, read_take
+from solver.scans.markers.places.marker_set import BoundTake
+from solver.scans.markers.prepare import PreparedTake, PrepareOptions
+from solver.scans.markers.readers.take import read_take
 from solver.storage import hash_files
 
 
@@ -83,7 +83,8 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     live = LiveOff(task, rig, task.inputs["markers"], take.first)
     numbers = frame_numbers(take.file, take.numbers, given)
     rate = given.rate or (take.rate if take.rate > 0 else USUAL_RATE)
-    mended = _mend_take(task, take, rig, rate)
+    options = PrepareOptions(given.actor, frames_about(take, given.neutral, rate), rate)
+    mended = PreparedTake(take, Reference.given(rig.model, task.inputs), options).mended_take
     source = mended.source
     notices = mended.notices
     face, muscles = _face(task, rig, notices)
@@ -114,16 +115,6 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     files += [*animated, view]
     progress(Step("done", 1.0))
     return files
-
-
-def _mend_take(task: Task[FitMarkers], take: Take, rig: Rig, rate: float) -> MendedTake:
-    """Return the take bound by the marker set, if one was given, and mended."""
-    given = task.options
-    known = None
-    if "marker_set" in task.inputs:
-        known = MarkerSet.load(task.inputs["marker_set"], rig.model)
-    options = PrepareOptions(given.actor, frames_about(take, given.neutral, rate), rate)
-    return PreparedTake(take, Reference.of(rig.model, known), options).mended_take
 
 
 def _face(task: Task[FitMarkers], rig: Rig, notices: list[Finding]) -> tuple[Face, tuple[str, ...]]:
@@ -168,8 +159,16 @@ def _markers(
         task.progress(Step("places", 0.01))
         # of the whole take: places must not depend on where the fit ends
         mending = RefineOptions(tracking=options)
+        seconds = 1.0 / rate
         used = refine_by_take(
-            face, used, known, source.points, source.frames, 1.0 / rate, given.refine, mending
+            face,
+            used,
+            known,
+            lambda number: source.frame(number).points,
+            source.frames,
+            seconds,
+            given.refine,
+            mending,
         )
         source.save(used, task.out / "markers.json")
     sigma = np.array([marker.sigma_mm for marker in used])

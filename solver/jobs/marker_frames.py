@@ -17,13 +17,7 @@ from typing_extensions import override
 from solver.errors import Finding, InputError, SolveError
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.markers.filter import KnownControls
-from solver.fitting.markers.observation import (
-    MarkerFit,
-    MarkerMemory,
-    Markers,
-    MarkerTracker,
-    SeenMarkers,
-)
+from solver.fitting.markers.observation import MarkerMemory, Markers, MarkerTracker, SeenMarkers
 from solver.fitting.markers.smooth import SmoothFrame, TracedFrame, smooth
 from solver.fitting.markers.term import HeadPrior
 from solver.fitting.tracking import Tracker
@@ -53,7 +47,7 @@ class TakeDrawing:
         face = self._markers.face
         places = self._markers.places
         self.skin.add(frame, face.whole_skin(x, pose_of(face, frame).b))
-        self.view.add(frame, places.at(x), self._source.points(frame.frame))
+        self.view.add(frame, places.at(x), self._source.frame(frame.frame).points)
 
 
 class TakeFitter(FrameFitter[MarkerFrame]):
@@ -111,17 +105,32 @@ class TakeFitter(FrameFitter[MarkerFrame]):
     @override
     def fit(self, number: int) -> MarkerFrame:
         start = time.perf_counter()
-        source = self._source
-        points = source.points(number)
-        free = source.unlabelled_points(number)
+        face = self._tracker.face
+        seen = self._source.frame(number)
         known = self._known.markers_term(number)
-        fit = self._tracker.step(SeenMarkers(points, free, source.sigma(number), known))
+        fit = self._tracker.step(SeenMarkers(seen.points, seen.unlabelled, seen.sigma, known))
         status: Status = "kept" if fit.kept else "predicted" if fit.predicted else "fitted"
-        frame = _frame(number, status, fit, self._tracker.face, time.perf_counter() - start)
-        states = np.array(frame.marker_state)
-        exchanged = source.exchanged_points(number) & (states == "seen")
-        states = np.where(exchanged, "swapped", states)  # an array of "seen" has no room for it
-        return replace(frame, marker_state=tuple(states.tolist()))
+        judged = fit.judged
+        exchanged = seen.exchanged & (judged.states == "seen")
+        off = fit.residual_mm
+        return MarkerFrame(
+            frame=number,
+            status=status,
+            **_pose_values(face, fit.state.pose),
+            **distance_figures(off[judged.weights > 0.0]),
+            head=fit.placed.head.twist.round(DECIMALS),
+            coverage=round(float(np.mean(judged.weights > 0.0)), 4),
+            inverted=face.flesh.count_inverted(fit.state.x),
+            iterations=fit.steps,
+            seconds=round(time.perf_counter() - start, 4),
+            marker_mm=off.round(DECIMALS),
+            marker_weight=judged.weights.round(DECIMALS),
+            marker_state=tuple(np.where(exchanged, "swapped", judged.states).tolist()),
+            sd=fit.sd.round(DECIMALS),
+            information=fit.information.round(DECIMALS),
+            contraction_sd=fit.contraction_sd.round(DECIMALS),
+            held=fit.held.astype(np.float64),
+        )
 
     @override
     def show(self, frame: MarkerFrame, position: int) -> None:
@@ -164,31 +173,6 @@ class TakeFitter(FrameFitter[MarkerFrame]):
         self._tracker.begin(state, memory)
 
 
-def _frame(number: int, status: Status, fit: MarkerFit, face: Face, seconds: float) -> MarkerFrame:
-    """Return the record of a fitted frame."""
-    pose = fit.state.pose
-    judged = fit.judged
-    off = fit.residual_mm
-    return MarkerFrame(
-        frame=number,
-        status=status,
-        **_pose_values(face, pose),
-        **distance_figures(off[judged.weights > 0.0]),
-        head=fit.placed.head.twist.round(DECIMALS),
-        coverage=round(float(np.mean(judged.weights > 0.0)), 4),
-        inverted=face.flesh.count_inverted(fit.state.x),
-        iterations=fit.steps,
-        seconds=round(seconds, 4),
-        marker_mm=off.round(DECIMALS),
-        marker_weight=judged.weights.round(DECIMALS),
-        marker_state=tuple(judged.states.tolist()),
-        sd=fit.sd.round(DECIMALS),
-        information=fit.information.round(DECIMALS),
-        contraction_sd=fit.contraction_sd.round(DECIMALS),
-        held=fit.held.astype(np.float64),
-    )
-
-
 def _pose_values(face: Face, pose: Pose) -> dict[str, Any]:
     """Return what a frame holds of a pose."""
     mandible = face.jaw.matrix(pose.b)
@@ -224,7 +208,7 @@ def smooth_frames(
             pose_of(face, each),
             small_motion(each.head),
             each.marker_weight,
-            source.sigma(each.frame),
+            source.frame(each.frame).sigma,
             known.markers_term(each.frame),
         )
         for each in frames
@@ -244,15 +228,16 @@ def _smooth_frame(
     markers: Markers, state: PosedFace, frame: MarkerFrame, source: BoundTake, after: SmoothFrame
 ) -> MarkerFrame:
     """Return a frame with the pose of ``state``, and the head and distances that come of it."""
-    seen = source.points(frame.frame)
+    bound = source.frame(frame.frame)
+    seen = bound.points
     states = np.array(frame.marker_state)
     own = (states == "seen") & np.isfinite(seen).all(axis=1)
     weights = frame.marker_weight * own
     head = small_motion(frame.head)
-    placed = markers.place(state, seen, weights, head, source.sigma(frame.frame))
+    placed = markers.place(state, seen, weights, head, bound.sigma)
     off = np.linalg.norm(placed.points - seen, axis=1)
     # a label that was given another's point has the one next to its marker
-    others = np.concatenate([seen, source.unlabelled_points(frame.frame)])
+    others = np.concatenate([seen, bound.unlabelled])
     others = others[np.isfinite(others).all(axis=1)]
     for label in np.flatnonzero(np.isin(states, ("swapped", "relabelled"))):
         off[label] = np.linalg.norm(others - placed.points[label], axis=1).min()

@@ -235,7 +235,16 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
     def fit(
         self, seen: SeenMarkers, solver: FrameSolver, memory: MarkerMemory | None
     ) -> tuple[MarkerFit, MarkerMemory]:
-        prior, head = self._before(seen, solver.state, memory)
+        at = self.places.at(solver.state.x)
+        weights = self._sigma**-2.0
+        options = self.options.head
+        if memory is None:
+            prior = with_room(self.prior, seen.known)
+            head = HeadPrior.of_most(at, seen.points, weights, options)
+        else:
+            prior = self.filter.before(memory.mean, memory.known, seen.known)
+            known = memory.head
+            head = HeadPrior.before_frame(known, self.seconds, at, seen.points, weights, options)
         begun = _Begun(seen, prior, memory)
         fit, left = self._fit(begun, solver, prior, head)
         if memory is not None:
@@ -245,7 +254,7 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
             if fit.kept or not fit.rejected_count:
                 break
             expected = self.prior.about(left.mean)
-            head = self._before(seen, fit.state)[1]
+            head = HeadPrior.of_most(self.places.at(fit.state.x), seen.points, weights, options)
             before = fit
             fit, left = self._fit(begun, solver, expected, head)
             fit = replace(fit, steps=before.steps + fit.steps)
@@ -341,19 +350,6 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
         noise = np.full((1, 3), self.options.noise_mm) if sigma is None else sigma
         noise = np.where(np.isfinite(noise), noise, self.options.noise_mm)
         return np.asarray(1.0 / (self._sigma[:, None] ** 2 + noise**2))
-
-    def _before(
-        self, seen: SeenMarkers, state: PosedFace, memory: MarkerMemory | None = None
-    ) -> tuple[GaussianPrior, HeadPrior]:
-        """Return what is probable of controls and head before a frame's points are looked at."""
-        at = self.places.at(state.x)
-        weights = self._sigma**-2.0
-        known = None if memory is None else memory.head
-        points = seen.points
-        head = HeadPrior.before_frame(known, self.seconds, at, points, weights, self.options.head)
-        if memory is None:
-            return with_room(self.prior, seen.known), head
-        return self.filter.before(memory.mean, memory.known, seen.known), head
 
     def _response(self, solver: FrameSolver) -> _Response:
         jacobian = solver.jacobian

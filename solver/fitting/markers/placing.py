@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 
+from solver.scans.markers.places.marker_set import area_normal
 from solver.surface import Floats
 
 
@@ -22,17 +23,12 @@ def rates_over(corners: Floats, weights: Floats, heights: Floats) -> Floats:
     The places are those of :func:`~solver.scans.markers.places.marker_set.places_over`.
     """
     out = np.zeros((len(corners), 3, 9))
-    first = np.empty(3)
-    second = np.empty(3)
+    sides = np.empty((2, 3))
+    first = sides[0]
+    second = sides[1]
     normal = np.empty(3)
     for k in range(len(corners)):
-        for i in range(3):
-            first[i] = corners[k, 1, i] - corners[k, 0, i]
-            second[i] = corners[k, 2, i] - corners[k, 0, i]
-        normal[0] = first[1] * second[2] - first[2] * second[1]
-        normal[1] = first[2] * second[0] - first[0] * second[2]
-        normal[2] = first[0] * second[1] - first[1] * second[0]
-        length = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+        length = area_normal(corners[k], sides, normal)
         size = heights[k] / length
         for i in range(3):
             normal[i] /= length

@@ -173,7 +173,7 @@ class PreparedTake:
             notices.append(make_warning("markers.motionless", message))
         if not options.actor:
             notices.extend(_other_person(take, markers, faults.motion, skin, rate, rest))
-        positions, exchanged = faults.put_right(faults.hide_unmeasured(take.positions))
+        positions, exchanged = faults.put_right(take.positions)
         take, markers = split_moved(replace(take, positions=positions), markers, faults, skin)
         return MendedTake(BoundTake(take, markers, options.least, exchanged), carried, notices)
 

@@ -86,13 +86,13 @@ def _check(path: Path) -> None:
     take = read_take(path)
     check_take(take, Reference.of(seeds.person()))
     faults = find_faults(take.positions[:, living_labels(take)], USUAL_RATE)  # as a fit does
-    faults.hide_unmeasured(faults.motion.places)
+    faults.put_right(faults.motion.places)
 
 
 def _sequence(path: Path) -> None:
     found = FittedSequence.load(path, "asset")
     found.check_values()
-    found.of_muscles(found.muscles)
+    found.places_of(found.muscles)
 
 
 def _known_activations(path: Path) -> None:

@@ -259,7 +259,7 @@ def _carry_labels(faults: Faults, warp: ActorWarp) -> Floats:
 
     Where a label has another's point, that is carried as the other's: so the fit can give it back.
     """
-    seen = faults.hide_unmeasured(faults.motion.places)
+    seen = np.where(faults.unmeasured[..., None], np.nan, faults.motion.places)
     carried = np.stack([warp(seen[:, marker], marker) for marker in range(seen.shape[1])], axis=1)
     for span in faults.of("swapped", "relabelled"):
         if span.other is not None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Protocol
 
 import igl
@@ -85,6 +86,17 @@ class Reference:
             jaw = (model.jaw, expression.jaw)
         rims = find_rims(face.vertices, model.regions)
         return cls(face, model.sha256, markers, jaw, rims)
+
+    @classmethod
+    def given(
+        cls, model: SubjectModel, files: Mapping[str, Path], expression: Expression | None = None
+    ) -> Reference:
+        """Return a person as :meth:`of`, with the marker set among a job's ``files`` if any.
+
+        Raises :class:`InputError` as :meth:`MarkerSet.load`.
+        """
+        markers = MarkerSet.load(files["marker_set"], model) if "marker_set" in files else None
+        return cls.of(model, markers, expression)
 
     def places(self, markers: MarkerSet) -> Floats:
         """Return where the markers (k, 3) of a set lie on this face, NaN for those without."""

@@ -210,6 +210,16 @@ class MarkerSet:
         return cls(markers, Similarity(read.session.scale, rotation, shift), read.model_sha256)
 
 
+@dataclass(frozen=True)
+class BoundFrame:
+    """A frame of a :class:`BoundTake`: k points, NaN where one is missing, mm."""
+
+    points: Floats  # (k, 3)
+    exchanged: NDArray[np.bool_]  # (k,) points that were another label's in the file
+    unlabelled: Floats  # (u, 3) points without a label
+    sigma: Floats | None  # (k, 3) standard deviations that the take has of the points
+
+
 class BoundTake:
     """A take read by a marker set: points of its markers, in the model's axes and mm.
 
@@ -250,53 +260,56 @@ class BoundTake:
         """Return the markers' labels."""
         return tuple(marker.label for marker in self.markers)
 
-    def points(self, frame: int) -> Floats:
-        """Return the points (k, 3) of the frame with a number, NaN where one is missing."""
-        found = self._session(self._take.positions[self.frames.index(frame)][self._columns])
-        return np.where(self._columns[:, None] < 0, np.nan, found)
-
-    def exchanged_points(self, frame: int) -> NDArray[np.bool_]:
-        """Return which of a frame's points (k,) were another label's in the file."""
-        if self._exchanged is None:
-            return np.zeros(len(self.markers), bool)
-        here = self._exchanged[self.frames.index(frame)]
-        known = (self._columns >= 0) & (self._columns < len(here))  # not those of moved markers
-        return np.asarray(known & here[np.where(known, self._columns, 0)])
-
-    def unlabelled_points(self, frame: int) -> Floats:
-        """Return a frame's points (u, 3) without a label."""
-        return self._session(self._take.unlabelled[self.frames.index(frame)])
-
-    def sigma(self, frame: int) -> Floats | None:
-        """Return the standard deviations (k, 3) that the take has of them, None if it has none."""
-        if self._take.sigma is None:
-            return None
-        variance = self._take.sigma[self.frames.index(frame)][self._columns] ** 2
-        return np.asarray(self._session.scale * np.sqrt(variance @ self._session.rotation.T**2))
+    def frame(self, number: int) -> BoundFrame:
+        """Return the frame with a number."""
+        take = self._take
+        session = self._session
+        row = self.frames.index(number)
+        columns = self._columns
+        points = session(take.positions[row][columns])
+        points[columns < 0] = np.nan
+        exchanged = np.zeros(len(columns), bool)
+        if self._exchanged is not None:
+            here = self._exchanged[row]
+            known = (columns >= 0) & (columns < len(here))  # not those of moved markers
+            exchanged[known] = here[columns[known]]
+        sigma = None
+        if take.sigma is not None:
+            variance = take.sigma[row][columns] ** 2
+            sigma = np.asarray(session.scale * np.sqrt(variance @ session.rotation.T**2))
+        return BoundFrame(points, exchanged, session(take.unlabelled[row]), sigma)
 
 
 @nb.njit(cache=True, error_model="numpy")
 def places_over(corners: Floats, weights: Floats, heights: Floats) -> Floats:
     """Return places (k, 3) at ``heights`` (k,) over triangles (k, 3, 3), along their normals."""
     out = np.empty((len(corners), 3))
-    first = np.empty(3)
-    second = np.empty(3)
+    sides = np.empty((2, 3))
+    normal = np.empty(3)
     for k in range(len(corners)):
+        height = heights[k] / area_normal(corners[k], sides, normal)
         for i in range(3):
-            first[i] = corners[k, 1, i] - corners[k, 0, i]
-            second[i] = corners[k, 2, i] - corners[k, 0, i]
-        x = first[1] * second[2] - first[2] * second[1]
-        y = first[2] * second[0] - first[0] * second[2]
-        z = first[0] * second[1] - first[1] * second[0]
-        height = heights[k] / (math.sqrt(x * x + y * y + z * z) + 1e-30)
-        for i in range(3):
-            out[k, i] = 0.0
+            out[k, i] = height * normal[i]
             for j in range(3):
                 out[k, i] += weights[k, j] * corners[k, j, i]
-        out[k, 0] += height * x
-        out[k, 1] += height * y
-        out[k, 2] += height * z
     return out
+
+
+@nb.njit(cache=True, error_model="numpy")
+def area_normal(corners: Floats, sides: Floats, normal: Floats) -> float:
+    """Return the length of the normal (3,) of a triangle's ``corners`` (3, 3), twice its area.
+
+    Both ``sides`` (2, 3) from its first corner and the ``normal`` are written into these.
+    """
+    for side in range(2):
+        for i in range(3):
+            sides[side, i] = corners[1 + side, i] - corners[0, i]
+    first = sides[0]
+    second = sides[1]
+    normal[0] = first[1] * second[2] - first[2] * second[1]
+    normal[1] = first[2] * second[0] - first[0] * second[2]
+    normal[2] = first[0] * second[1] - first[1] * second[0]
+    return math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2) + 1e-30
 
 
 def _entry(marker: Marker) -> dict[str, Any]:

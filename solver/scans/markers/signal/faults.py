@@ -111,20 +111,25 @@ class Faults:
             found.setdefault(span.marker, {}).setdefault(span.other, []).append(span)
         return found
 
-    def hide_unmeasured(self, positions: Floats) -> Floats:
-        """Return ``positions`` (f, k, 3), NaN where they were not measured: frozen or drawn."""
-        shown = positions.copy()
+    @property
+    def unmeasured(self) -> Mask:
+        """Return which points (f, k) were not measured: frozen or drawn."""
+        found = np.zeros(self.usable.shape, bool)
         for span in self.of("frozen", "filled"):
-            shown[span.first : span.last + 1, span.marker] = np.nan
-        return shown
+            found[span.first : span.last + 1, span.marker] = True
+        return found
 
     def put_right(self, positions: Floats) -> tuple[Floats, Mask]:
-        """Return ``positions`` (f, k, 3) with swapped labels exchanged, and which (f, k) were."""
-        right = positions.copy()
+        """Return ``positions`` (f, k, 3) with swapped labels exchanged, and which (f, k) were.
+
+        What was not measured is NaN.
+        """
+        measured = np.where(self.unmeasured[..., None], np.nan, positions)
+        right = measured.copy()
         exchanged = np.zeros(positions.shape[:2], bool)
         for span in self.of("swapped"):
             rows = slice(span.first, span.last + 1)
-            right[rows, span.marker] = positions[rows, span.other]
+            right[rows, span.marker] = measured[rows, span.other]
             exchanged[rows, span.marker] = True
         return right, exchanged
 

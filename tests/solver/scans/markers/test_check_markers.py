@@ -444,8 +444,8 @@ def test_a_marker_that_moved_has_a_place_for_each_span(clean: Floats, late: bool
     off = np.linalg.norm(places[[at, -1]] - goals, axis=1)
     assert off.max() < 1.0
     source = BoundTake(split, found, 4)
-    assert np.isnan(source.points(frame + 100)[-1]).all()
-    assert np.isfinite(source.points(frame + 101)[-1]).all()
+    assert np.isnan(source.frame(frame + 100).points[-1]).all()
+    assert np.isfinite(source.frame(frame + 101).points[-1]).all()
     # the set that a fit leaves serves the take a second time, and other takes
     again, twice = split_moved(take, found, find_faults(points, RATE), skin)
     assert again.labels == twice.labels == split.labels
