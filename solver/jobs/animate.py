@@ -26,7 +26,7 @@ from solver.jobs.scenes import (
     fingerprint,
     finish,
     play,
-    read_person,
+    read_player,
     skin_of,
 )
 from solver.kinds.animate import Animate
@@ -34,7 +34,6 @@ from solver.mechanics.linear import fastest
 from solver.neck.body import import_mujoco
 from solver.progress import ProgressCallback, Step, part_of
 from solver.rig import Rig
-from solver.rig.frames.animation import check_video
 from solver.scans.performance import ARKIT_NAMES, FaceTake
 from solver.scans.recordings import SIGNALS_FILE, read_recording
 from solver.scene import Stage
@@ -63,9 +62,7 @@ def run(task: Task[Animate]) -> list[Path]:
     given = task.options
     out = task.out
     progress = task.progress
-    if given.video:
-        check_video()
-    rig, places = read_person(task)
+    rig, places = read_player(task)
     recording = given.scene.recording
     signals = out / SIGNALS_FILE
     asset = places.asset(recording.asset)

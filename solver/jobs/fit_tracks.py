@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,12 +71,9 @@ def run(task: Task[FitTracks]) -> list[Path]:
     for number, letter in enumerate(parts):
         begin = time.perf_counter()
         span = fits.JobPart(0.2, 0.5).part(number, len(parts))
-        about = (scans, targets, given, log.branch(), span)
+        about = _Fitting(scans, targets, given, log.branch(), span)
         found: System
-        if letter == "P":
-            found = _fit_tets(model, *about)
-        else:
-            found = _fit_shapes(faces[letter], letter, *about)
+        found = about.of_tets(model) if letter == "P" else about.of_shapes(faces[letter], letter)
         systems[letter] = systems[letter].replaced(found) if letter in systems else found
         seconds[SYSTEMS[letter]] = time.perf_counter() - begin
     options = given.model_dump(exclude={"linear_solver"})
@@ -129,56 +126,44 @@ def _with_muscles(
     return replace(rig, expressions=(*kept, *fitted))
 
 
-def _fit_shapes(
-    driven: ShapeFace[State],
-    letter: str,
-    scans: Mapping[str, RegisteredScan],
-    targets: Mapping[str, Target],
-    given: FitTracks,
-    log: fits.WarningLog,
-    span: fits.JobPart,
-) -> ShapeSystem:
-    """Fit weights and jaw to every scan; ``letter`` is that of the system."""
-    options = TrackFitOptions(given.w_w, given.w_j, BOUNDS[given.bounds])
-    options = replace(options, stop=replace(options.stop, iterations=given.max_iterations))
+@dataclass(frozen=True)
+class _Fitting:
+    """What fits of any system's controls have in common; ``span`` is their part of the job."""
 
-    def fit(name: str, scan: RegisteredScan, listen: Listener) -> ShapeFit:
-        found = fit_scan(driven, name, scan, targets[name], options, listen)
-        crossed = find_crossed(driven.face.model, found)
-        return replace(found, notices=(*found.notices, *crossed))
+    scans: Mapping[str, RegisteredScan]
+    targets: Mapping[str, Target]
+    given: FitTracks
+    log: fits.WarningLog
+    span: fits.JobPart
 
-    fitted = _fit_each(letter, scans, fit, given.max_iterations, log, span)
-    return ShapeSystem(fitted, driven.tracks.names)
+    def of_shapes(self, driven: ShapeFace[State], letter: str) -> ShapeSystem:
+        """Fit weights and jaw to every scan; ``letter`` is that of the system."""
+        given = self.given
+        options = TrackFitOptions(given.w_w, given.w_j, BOUNDS[given.bounds])
+        options = replace(options, stop=replace(options.stop, iterations=given.max_iterations))
 
+        def fit(name: str, scan: RegisteredScan, listen: Listener) -> ShapeFit:
+            found = fit_scan(driven, name, scan, self.targets[name], options, listen)
+            crossed = find_crossed(driven.face.model, found)
+            return replace(found, notices=(*found.notices, *crossed))
 
-def _fit_tets(
-    model: SubjectModel,
-    scans: Mapping[str, RegisteredScan],
-    targets: Mapping[str, Target],
-    given: FitTracks,
-    log: fits.WarningLog,
-    span: fits.JobPart,
-) -> TetSystem:
-    """Fit activations of single tets and the jaw to every scan."""
-    fitter = TetFitter(model, targets, given.linear_solver or fastest())
-    fitted = _fit_each("P", scans, fitter.fit, fitter.options.max_iterations, log, span)
-    return TetSystem(fitted, fitter.tets)
+        return ShapeSystem(self._each(letter, fit, given.max_iterations), driven.tracks.names)
 
+    def of_tets(self, model: SubjectModel) -> TetSystem:
+        """Fit activations of single tets and the jaw to every scan."""
+        fitter = TetFitter(model, self.targets, self.given.linear_solver or fastest())
+        fitted = self._each("P", fitter.fit, fitter.options.max_iterations)
+        return TetSystem(fitted, fitter.tets)
 
-def _fit_each(
-    letter: str,
-    scans: Mapping[str, RegisteredScan],
-    fit: Callable[[str, RegisteredScan, Listener], fits.Fit],
-    most: int,
-    log: fits.WarningLog,
-    span: fits.JobPart,
-) -> tuple[fits.Fit, ...]:
-    """Fit every scan by the controls of a system, in ``most`` iterations at most, and tell it."""
-    phase = SYSTEMS[letter].replace(" ", "_")
-    fitted = []
-    for number, (name, scan) in enumerate(scans.items()):
-        part = span.part(number, len(scans))
-        found = fit(name, scan, log.listener(phase, name, part, most))
-        fitted.append(log.about(found, part.end, found.notices))
-    fits.refuse_failures(fitted)
-    return tuple(fitted)
+    def _each(
+        self, letter: str, fit: Callable[[str, RegisteredScan, Listener], fits.Fit], most: int
+    ) -> tuple[fits.Fit, ...]:
+        """Fit every scan by a system's controls, in ``most`` iterations at most, and tell it."""
+        phase = SYSTEMS[letter].replace(" ", "_")
+        fitted = []
+        for number, (name, scan) in enumerate(self.scans.items()):
+            part = self.span.part(number, len(self.scans))
+            found = fit(name, scan, self.log.listener(phase, name, part, most))
+            fitted.append(self.log.about(found, part.end, found.notices))
+        fits.refuse_failures(fitted)
+        return tuple(fitted)

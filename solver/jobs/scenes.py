@@ -30,6 +30,7 @@ from solver.rig.frames.animation import (
     NO_ARRAYS,
     Filming,
     MotionRecord,
+    check_video,
     motion_report,
     motion_values,
     read_motion,
@@ -60,6 +61,16 @@ def read_person(task: Task[Any]) -> tuple[Rig, Places]:
     if any(edit.map is None for edit in fat) and (message := places.without_compartments):
         task.progress(Step("warning", 0.0, message=message))
     return rig, places
+
+
+def read_player(task: Task[Any]) -> tuple[Rig, Places]:
+    """Return the person of a scene that is played, as :func:`read_person`.
+
+    Raises, besides, ``options.video`` where a video is asked for and there is no codec.
+    """
+    if task.options.video:
+        check_video()
+    return read_person(task)
 
 
 def fingerprint(task: Task[Any]) -> str:

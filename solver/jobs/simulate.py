@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +13,10 @@ from solver.fitting.calibration import read_muscles
 from solver.fitting.face import Pose
 from solver.fitting.strips import strip_names
 from solver.jobs import Task
-from solver.jobs.scenes import CARRIED, EXPORT, READ, fingerprint, finish, play, read_person
+from solver.jobs.scenes import CARRIED, EXPORT, READ, fingerprint, finish, play, read_player
 from solver.kinds.simulate import Simulate
-from solver.progress import ProgressCallback, part_of
+from solver.progress import part_of
 from solver.rig import Rig
-from solver.rig.frames.animation import check_video
 from solver.scene import Stage
 from solver.scene.document import (
     drives_of,
@@ -43,19 +44,24 @@ def run(task: Task[Simulate]) -> list[Path]:
     given = task.options
     out = task.out
     progress = task.progress
-    if given.video:
-        check_video()
-    rig, places = read_person(task)
+    rig, places = read_player(task)
     by_tracks = given.scene.drive == "tracks"
     playing = part_of(progress, READ, EXPORT)
-    of_neck = part_of(playing, 0.0, CARRIED)
-    stage, more = (_by_tracks if by_tracks else _by_muscles)(task, rig, places, of_neck)
+    make = partial(
+        Stage,
+        given.scene,
+        places,
+        rig.weights,
+        linear=given.linear_solver,
+        progress=part_of(playing, 0.0, CARRIED),
+    )
+    stage, more = (_by_tracks if by_tracks else _by_muscles)(task, rig, places, make)
     frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
     return finish(stage, frames, out, progress, title="Simulation", video=given.video, more=more)
 
 
 def _by_muscles(
-    task: Task[Simulate], rig: Rig, places: Places, of_neck: ProgressCallback
+    task: Task[Simulate], rig: Rig, places: Places, make: Callable[..., Stage]
 ) -> tuple[Stage, dict[str, Any]]:
     """Return a scene that a rig's expressions, performances and muscles play, and its figures."""
     given = task.options
@@ -69,22 +75,13 @@ def _by_muscles(
     names = None if fibres is None else strip_names(rig.model.muscle_names, fibres)
     drives = drives_of(*parts, rig.model, rig.weights, performances, names, limits)
     firmer = 1.0 if performances is None else max(float(performances.curve.max()), 1.0)
-    stage = Stage(
-        given.scene,
-        places,
-        rig.weights,
-        drives,
-        given.linear_solver,
-        fibres,
-        firmer,
-        progress=of_neck,
-    )
+    stage = make(drives, fibres=fibres, firmer=firmer)
     played = performances.performances if performances else ()
     return stage, {"performances": [*map(_told, played)]}
 
 
 def _by_tracks(
-    task: Task[Simulate], rig: Rig, places: Places, of_neck: ProgressCallback
+    task: Task[Simulate], rig: Rig, places: Places, make: Callable[..., Stage]
 ) -> tuple[Stage, dict[str, Any]]:
     """Return a scene that the shapes of tracks play, and its figures."""
     given = task.options
@@ -92,16 +89,7 @@ def _by_tracks(
     shapes = TrackedShapes.of(rig.model, tracks)
     played = shape_performance_of(given.scene, shapes, places)
     drives = track_drives_of(given.scene, shapes, places, played)
-    stage = Stage(
-        given.scene,
-        places,
-        rig.weights,
-        drives,
-        given.linear_solver,
-        firmer=TrackContact.firmer,
-        tracks=tracks,
-        progress=of_neck,
-    )
+    stage = make(drives, firmer=TrackContact.firmer, tracks=tracks)
     told = [_told(played)] if played else []
     return stage, {"shapes": len(tracks.names), "performances": told}
 
