@@ -324,17 +324,18 @@ def _check_nesting(value: Any) -> None:
     for _ in range(DEEPEST + 1):
         if not level:
             return
-        for item in level:
-            if isinstance(item, str) and _UNICODE_FAULT.search(item):
-                raise _json_problem("a text holds NUL, or half of a surrogate pair")
-        level = [inner for item in level for inner in _parts(item)]
+        # first of all: a megabyte may be half a million numbers
+        parts = [item for item in level if isinstance(item, (str, list, dict))]
+        level = []
+        for item in parts:
+            if isinstance(item, str):
+                if _UNICODE_FAULT.search(item):
+                    raise _json_problem("a text holds NUL, or half of a surrogate pair")
+                continue
+            level += item
+            if isinstance(item, dict):
+                level += item.values()
     raise _json_problem(f"it is nested deeper than {DEEPEST}")
-
-
-def _parts(value: Any) -> list[Any]:
-    if isinstance(value, dict):
-        return [*value.keys(), *value.values()]
-    return value if isinstance(value, list) else []
 
 
 def _no_constant(name: str) -> None:

@@ -7,16 +7,12 @@ import fcntl
 import sqlite3
 import time
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from alembic import command
-from alembic.config import Config
-from alembic.migration import MigrationContext
-from alembic.script import ScriptDirectory
 from sqlalchemy import (
     URL,
     Connection,
@@ -33,11 +29,13 @@ from sqlalchemy.orm import Session
 
 from service.queue.wakeups import WAKE, WakeUps
 from service.store.files import files_at
-from service.store.migrations.merging import TENANTS, refuse_merging
 from service.store.models import now
 from service.store.tenancy import TENANT
 
-MIGRATIONS = Path(__file__).parent / "migrations"
+if TYPE_CHECKING:
+    from service.store.migrations.moves import Move
+
+REVISIONS = Path(__file__).parent / "migrations" / "versions"
 # FULL: what was acknowledged outlives a power cut, a deletion as well as an upload.
 # secure_delete: what is deleted is overwritten, and does not stay in a free page
 PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "secure_delete=ON")
@@ -111,26 +109,24 @@ class Database:
         with Session(bind, expire_on_commit=False, info=info) as session, session.begin():
             yield session
 
-    def migrate(
-        self, move: Callable[[Config, str], None] = command.upgrade, revision: str = "head"
-    ) -> None:
+    def migrate(self, move: Move | None = None, revision: str = "head") -> None:
         """Bring the schema up to date; processes that start together wait for one another.
 
-        ``move`` is Alembic's ``upgrade`` or ``downgrade``.
+        ``move`` is Alembic's ``upgrade``, which is meant by None, or ``downgrade``.
 
         Raises
         ------
         NewerDatabaseError
             If the schema has a revision that this release does not have.
         """
-        config = _migrations()
+        with self.engine.connect() as connection:
+            if move is None and revision_of(connection) == known_revisions()[0]:
+                return
+        from service.store.migrations.moves import move_tables
+
         with self._one_at_a_time(), self._migrating() as connection:
             current = _refuse_newer(connection)
-            if move is command.downgrade and _is_before_tenants(current, revision):
-                refuse_merging(connection)  # before the first step: SQLite takes none back
-                connection.rollback()
-            config.attributes["connection"] = connection
-            move(config, revision)
+            move_tables(connection, move, revision, current, known_revisions())
 
     def refuse_unfinished(self) -> None:
         """Raise if a restore was interrupted.
@@ -194,27 +190,16 @@ class Database:
 
 def known_revisions() -> list[str]:
     """Return the revisions of the tables that this release has, the newest first."""
-    scripts = ScriptDirectory.from_config(_migrations()).walk_revisions()
-    return [script.revision for script in scripts]
+    names = (path.name.partition("_")[0] for path in REVISIONS.glob("[0-9]*.py"))
+    return sorted(names, reverse=True)
 
 
 def revision_of(connection: Connection) -> str | None:
     """Return the revision that the tables have; None: there are none."""
-    return MigrationContext.configure(connection).get_current_revision()
-
-
-def _migrations() -> Config:
-    config = Config()
-    config.set_main_option("script_location", str(MIGRATIONS))
-    return config
-
-
-def _is_before_tenants(current: str | None, revision: str) -> bool:
-    """Return whether tenants are lost on the way back to a revision; one step back says it."""
-    known = [*known_revisions(), "base"]
-    if current not in known or revision not in known:
-        return False
-    return TENANTS in known[known.index(current) : known.index(revision)]
+    if not inspect(connection).has_table("alembic_version"):
+        return None
+    revision: str | None = connection.scalar(text("SELECT version_num FROM alembic_version"))
+    return revision
 
 
 def _refuse_newer(connection: Connection) -> str | None:

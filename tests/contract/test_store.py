@@ -6,10 +6,11 @@ import re
 from pathlib import Path
 
 from alembic import command
+from alembic.script import ScriptDirectory
 from sqlalchemy import delete, select, text, update
 
 from service.queue.states import ALLOWED
-from service.store.database import Database
+from service.store.database import REVISIONS, Database, known_revisions
 from service.store.models import DEFAULT_TENANT, Event, Job, Subject
 from tests.schema import differences
 
@@ -23,6 +24,11 @@ def test_migrations_make_the_tables_that_the_models_describe(tmp_path: Path) -> 
     with database.engine.connect() as connection:
         assert differences(connection) == []
     database.close()
+
+
+def test_revisions_are_known_by_the_names_of_their_files() -> None:
+    scripts = ScriptDirectory(str(REVISIONS.parent)).walk_revisions()
+    assert [script.revision for script in scripts] == known_revisions()
 
 
 def test_a_studios_work_survives_the_upgrade_to_tenants_and_back(tmp_path: Path) -> None:
