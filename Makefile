@@ -20,7 +20,7 @@ quick: setup-dev ## style, types, and unit tests that need no data and no proces
 	@$(BIN)/ruff check --quiet
 	@$(BIN)/ruff format --check --quiet
 	@$(BIN)/mypy
-	@$(TESTS) --quick -p no:schemathesis --quiet -n $(PROCESSORS)
+	@$(TESTS) --quick --quiet -n $(PROCESSORS)
 
 test: setup-dev ## what CI runs: the checks and all tests that are not slow (how long: docs/develop/development.md)
 	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target check fast-servers kernels

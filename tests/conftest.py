@@ -19,12 +19,17 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 os.environ.setdefault("MYOFACE_SOLVER_NICENESS", "0")
 
 import pytest
+import structlog
 from xdist.scheduler import LoadScopeScheduling
 
 UNITS = tuple(f"tests/{folder}/" for folder in ("unit", "solver", "service", "worker", "myoface"))
 QUICK_LIMIT = 0.6  # s of processor time that a test of `make quick` may take
 
 SECONDS = "processor seconds"
+
+# A logged error with all locals of its frames, in colours, takes ten seconds; services log none.
+plain = structlog.dev.ConsoleRenderer(exception_formatter=structlog.dev.plain_traceback)
+structlog.configure(processors=[*structlog.get_config()["processors"][:-1], plain])
 
 too_long: dict[str, float] = {}
 began = pytest.StashKey[float]()

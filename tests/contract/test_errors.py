@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections import defaultdict
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 from solver.kinds import ROLES, SCANS
@@ -44,29 +44,31 @@ MADE_OF_PARTS = (
 STATUS = {"CHECKSUM_MISMATCH": "460"}
 
 
-def _calls() -> Iterator[tuple[str, ast.Call]]:
-    for room in ("service", "worker", "solver"):
-        for path in (ROOT / room).rglob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-                    yield node.func.id, node
-
-
-def _texts() -> set[str]:
-    """Return every text in the source: a code may be chosen or passed on as one."""
+@cache
+def _source() -> tuple[list[tuple[str, ast.Call]], set[str]]:
+    """Return the calls that may say a code, and every text: a code may be passed on as one."""
+    names = {*RAISED, *HELPERS, "not_found"}
+    calls = []
     texts = set()
     for room in ("service", "worker", "solver", "myoface"):
         for path in (ROOT / room).rglob("*.py"):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Constant) and isinstance(node.value, str):
                     texts.add(node.value)
-    return texts
+                elif (
+                    room != "myoface"
+                    and isinstance(node, ast.Call)
+                    and isinstance(node.func, ast.Name)
+                    and node.func.id in names
+                ):
+                    calls.append((node.func.id, node))
+    return calls, texts
 
 
 def _said() -> dict[str, set[str]]:
     """Return the codes that errors are raised with, each with its statuses."""
     found: dict[str, set[str]] = defaultdict(set)
-    for name, call in _calls():
+    for name, call in _source()[0]:
         place = RAISED.get(name, HELPERS.get(name))
         if name == "not_found" and isinstance(call.args[0], ast.Constant):
             found[f"{call.args[0].value}.unknown"].add("404")
@@ -100,7 +102,7 @@ def test_every_code_is_explained() -> None:
 
 def test_the_handbook_explains_no_code_that_nobody_says() -> None:
     of_roles = {f"capture.is_{name}" for name in ROLES if name not in SCANS}
-    texts = _texts() | set(_said()) | of_roles
+    texts = _source()[1] | set(_said()) | of_roles
     stale = [
         code
         for code in _explained()

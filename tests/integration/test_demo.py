@@ -13,7 +13,10 @@ from pathlib import Path
 
 import pytest
 
+from myoface.cli.demo import QUICK_OPTIONS
 from myoface.stack import free_port
+from solver.anatomy.meshing import find_or_make_mesh
+from solver.templates.builtin.build import builtin_template
 from tests.browser.rig_place import drawing_browser, until
 from tests.servers.production import Production
 
@@ -29,6 +32,8 @@ def test_scans_in_rig_and_report_out(
 ) -> None:
     """At its end the rig is opened in the browser, as the demonstration's last lines say."""
     monkeypatch.setenv("MYOFACE_PORT", str(free_port("127.0.0.1")))
+    # half a minute's work of a processor, which the cache keeps from run to run
+    find_or_make_mesh(builtin_template(), QUICK_OPTIONS["build_model"]["edge_mm"])
     figures_file = tmp_path / "figures.json"
     command = [*PROGRAM, "demo", "--quick", "--output", str(tmp_path), "--json", str(figures_file)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)

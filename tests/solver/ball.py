@@ -1,12 +1,11 @@
 """A ball for a head: the smallest template that has skin, bones, a muscle and parting lips."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import trimesh
 
-from solver.anatomy.meshing import make_mesh
+from solver.anatomy.meshing import find_or_make_mesh
 from solver.anatomy.template import Muscle, Template
 from solver.surface import Surface
 
@@ -55,6 +54,5 @@ def ball_template():
 
 @cache
 def meshed_ball() -> Template:
-    """Return it with tets of :data:`EDGE_MM`, which take seconds: all tests share them."""
-    ball = ball_template()
-    return replace(ball, mesh=make_mesh(ball, EDGE_MM))
+    """Return it with tets of :data:`EDGE_MM`, which take seconds: the cache keeps them."""
+    return find_or_make_mesh(ball_template(), EDGE_MM)

@@ -6,8 +6,10 @@ import gc
 import itertools
 import re
 import time
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -124,15 +126,22 @@ class Cost:
 
 def fill(start: str, item: Callable[[int], str], end: str, size: int = MEGABYTE) -> bytes:
     """Return a document of ``size`` bytes less a little, of items."""
-    items = []
-    length = len(start) + len(end)
+    items, ends = _items(item)
+    count = bisect_right(ends, size - 1000 - len(start) - len(end))
+    return f"{start}{','.join(items[:count])}{end}".encode()
+
+
+@cache
+def _items(item: Callable[[int], str]) -> tuple[list[str], list[int]]:
+    """Return the items of a megabyte, and where each would end behind the others and a comma."""
+    items: list[str] = []
+    ends = [0]
     for number in itertools.count():
-        text = item(number)
-        length += len(text) + 1
-        if length > size - 1000:
-            break
-        items.append(text)
-    return f"{start}{','.join(items)}{end}".encode()
+        if ends[-1] > MEGABYTE:
+            return items, ends[1:]
+        items.append(item(number))
+        ends.append(ends[-1] + len(items[-1]) + 1)
+    raise AssertionError("numbers do not end")
 
 
 def places_of(kind: str) -> list[str]:
