@@ -189,11 +189,10 @@ def _starts(
     first, _ = cells(cloud.points, options.tip_spacing)
     places = cloud.points[first]
     near = cloud.tree.query_ball_point(places, options.tip_radius)
-    height = np.empty(len(first))
-    forward = np.empty((len(first), 3))
-    for number, members in enumerate(near):
-        forward[number] = unit_rows(cloud.normals[members].mean(axis=0))
-        height[number] = (places[number] - cloud.points[members].mean(axis=0)) @ forward[number]
+    members = np.concatenate(near).astype(np.int64)
+    number = np.repeat(np.arange(len(first)), [len(each) for each in near])
+    forward = unit_rows(mean_by_cell(cloud.normals[members], number))
+    height = ((places - mean_by_cell(cloud.points[members], number)) * forward).sum(axis=1)
     _, area = cells(places, options.tip_area)
     order = np.lexsort((-height, area))
     rank = np.arange(len(order)) - np.searchsorted(area[order], area[order])
