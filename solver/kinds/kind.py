@@ -206,7 +206,7 @@ class ExpressionFitOptions(FitOptions):
     controls: Literal["admissible", "free"] | None = Field(
         default=None,
         description="what muscles and jaw may do: admissible, only what they can (fibres up to "
-        "1.02 of their length, any direction from half to one and a half, the volume within 10 %, "
+        "1.02 of their length, any direction from half to 1.9 of it, the volume within 10 %, "
         "the condyles on their tracks); free, any numbers, as published. If not given: admissible; "
         "for a rig, those of its training expressions; free by ipopt, which knows no bounds",
     )

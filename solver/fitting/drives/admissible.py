@@ -26,7 +26,7 @@ import numpy as np
 import scipy.sparse as sp
 from typing_extensions import override
 
-from solver.anatomy.physiology import SHORTEST
+from solver.anatomy.physiology import SHORTEST, THICKEST
 from solver.errors import Finding, InputError, make_warning
 from solver.fitting.controls import Block
 from solver.fitting.drives.six_numbers import SixNumbers
@@ -50,13 +50,14 @@ class AdmissibleLimits:
     """Bounds of every muscle's activation S(a_j).
 
     A muscle pulls, so that its fibres hardly lengthen; it makes force down to half its best length
-    (Zajac 1989), where it is sqrt(2) times as thick, as it keeps its volume. The limits by which a
-    certificate judges any fit are wider (:class:`~solver.rig.report.certificate.MuscleLimits`).
+    (Zajac 1989), where a sheet that keeps its breadth is twice as thick, as it keeps its volume.
+    The limits by which a certificate judges any fit are wider
+    (:class:`~solver.rig.report.certificate.MuscleLimits`).
     """
 
     fibre: float = 1.02  # mean stretch along the fibres
     shortest: float = SHORTEST  # stretch in any direction
-    longest: float = 1.5
+    longest: float = 0.95 * THICKEST
     volume: float = 1.1  # by that at rest, and its inverse
 
     def __post_init__(self) -> None:

@@ -108,6 +108,19 @@ def test_a_step_is_the_best_within_the_bounds():
     assert model(found) <= known.fun + 1e-4 * abs(known.fun)
 
 
+@pytest.mark.parametrize("thicker", [1.0, 0.5, 0.0])
+def test_a_muscle_may_halve_its_length_and_keep_its_volume(thicker):
+    """All around, or as a sheet that keeps its breadth."""
+    along = np.diag([1.0, 0.0, 0.0])[None]
+    admissible = AdmissibleSet(LIMITS, along)
+    shorter = 0.53
+    broader = shorter ** (-0.5 * thicker)
+    a = IDENTITY.copy()
+    a[[0, 3, 5]] = shorter, broader, 1.0 / (shorter * broader)
+    np.testing.assert_allclose(determinants(a[None]), 1.0)
+    assert admissible.contains(a[None])
+
+
 def test_margins_have_their_slopes():
     # where no two stretches are the same
     admissible = random_set(12)
