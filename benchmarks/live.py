@@ -106,8 +106,9 @@ def _library(options: argparse.Namespace) -> Figures:
         played = _Played(options, folder)
         found: Figures = {"tets": len(played.rig.model.tets), "rate": options.rate}
         for source in options.sources:
-            found[source] = _measure(played, source, options)
-            log.info("%s: %s", source, found[source])
+            if frames := played.frames(source):
+                found[source] = _measure(played, source, frames, options)
+                log.info("%s: %s", source, found[source])
     return found
 
 
@@ -149,13 +150,18 @@ class _Played:
         return template
 
     def frames(self, source: Source) -> list[NDArray[np.float32]]:
-        """Return the numbers of each frame; those of markers leave their set in the folder."""
+        """Return the numbers of each frame; those of markers leave their set in the folder.
+
+        There are no landmarks of a template without a detector's points.
+        """
         if source == "weights":
             return [row.astype("<f4") for row in self.weights]
         moved = enumerate(self.truth.heads)
         if source == "points":
             return [head(self.truth.skin(row)).astype("<f4") for row, head in moved]
         if source == "landmarks":
+            if not any(name.isdecimal() for name in self._points.names):
+                return []
             model = self.rig.model
             film = FilmedLandmarks(self._points, model.skin.vertices[model.face].mean(axis=0))
             return [film.seen(self.truth.skin(row), head) for row, head in moved]
@@ -184,9 +190,10 @@ class _Run:
     checks: int = 0
 
 
-def _measure(played: _Played, source: Source, options: argparse.Namespace) -> Figures:
+def _measure(
+    played: _Played, source: Source, frames: list[NDArray[np.float32]], options: argparse.Namespace
+) -> Figures:
     """Play one source through a session, and solve all of its frames in full afterwards."""
-    frames = played.frames(source)
     about = LiveOptions(source, options.rate, check_seconds=options.pause)
     session = LiveSession.open(played.files, played.folder, about, _listen)
     try:
