@@ -15,6 +15,7 @@ import numpy as np
 from typing_extensions import override
 
 from solver.anatomy.skin_points import SkinPoints
+from solver.anatomy.warp import spread
 from solver.errors import InputError
 from solver.fitting.markers.robust import RobustOptions
 from solver.live.follow import FollowOptions, PlaceFollower, PlaceSource, ReducedPlaces, as_live
@@ -52,6 +53,9 @@ class LandmarkOptions:
 class LiveLandmarks(PlaceSource):
     """Follows the landmarks (478, 3) of a detector, at the ``points`` that a template has of them.
 
+    Those that count are far from each other: where landmarks are dense, as about eyes and lips,
+    they would outweigh the rest of the face.
+
     Raises :class:`InputError` (``live.no_landmarks``) where that has too few.
     """
 
@@ -73,6 +77,10 @@ class LiveLandmarks(PlaceSource):
             )
             about = {"found": len(found.names), "expected": options.least}
             raise InputError("live.no_landmarks", message, **about)
+        at_rest = found.of(model.skin.vertices)
+        nose = int(np.argmax(at_rest[:, 2]))  # its tip is foremost
+        chosen = np.sort(spread(at_rest, min(options.follow.count, len(at_rest)), nose))
+        found = found.select([found.names[number] for number in chosen])
         self._used = np.array([int(name) for name in found.names])
         self._options = options
         self.clue_count = 3 * len(self._used)
