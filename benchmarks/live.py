@@ -1,11 +1,13 @@
 """Live sessions against full solves of all their frames.
 
 A recording plays on a subject at its own pace: as 79 markers with noise and a turning head, as
-ARKit's weights, and as all points of the skin. Each frame that comes is followed by a session of
+ARKit's weights, as all points of the skin, and as the landmarks that a detector finds of it in the
+film of a near camera. Each frame that comes is followed by a session of
 the library; what it sent is compared, frame by frame, with what the full solve of the same frame
 makes of it afterwards. Figures by source: ``latency_ms`` of a step, ``dropped_percent`` of frames
 that came before the last was ready, ``error_mm`` of the face (mean and p95 over frames),
-``plain_mm`` the same without mending, ``running_error_ratio`` of the told median to the true one of
+``plain_mm`` the same without mending, ``truth_mm`` off the skin that was marked, measured or filmed
+(not of weights, which have none), ``running_error_ratio`` of the told median to the true one of
 the same ten seconds, ``checks_per_s``. ``--folder`` keeps what is made of the rig for other runs.
 With ``--data``, a service's folder that has a rig, frames go through a service as well
 (:mod:`benchmarks.live_service`): weights in ``session``, ``sessions``, ``resume`` and ``soak``, and
@@ -28,6 +30,7 @@ from numpy.typing import NDArray
 
 from benchmarks import live_service, report, subject_fits, subjects
 from benchmarks.documents import Figures, Plot, Section, Table
+from benchmarks.made_landmarks import FilmedLandmarks
 from benchmarks.made_takes import Bench, make_truth
 from solver.anatomy.template import Template
 from solver.animation import shape_weights
@@ -36,6 +39,7 @@ from solver.kinds.live_messages import GivenFrame
 from solver.kinds.live_session import Source
 from solver.live.checks import Sample, open_solver
 from solver.live.session import LiveOptions, LiveSession
+from solver.photo.mesh_points import landmark_points
 from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.scans.performance import read_live_link
 from solver.similarity import IDENTITY
@@ -44,7 +48,7 @@ from solver.templates.builtin.build import builtin_template
 from solver.templates.ict_facekit import IctPerformance
 
 PARTS = ("library", *live_service.PARTS)
-SOURCES: tuple[Source, ...] = ("markers", "weights", "points")
+SOURCES: tuple[Source, ...] = ("markers", "weights", "points", "landmarks")
 MARKERS = 79
 RATE = 60.0
 SECONDS = 60.0
@@ -102,8 +106,9 @@ def _library(options: argparse.Namespace) -> Figures:
         played = _Played(options, folder)
         found: Figures = {"tets": len(played.rig.model.tets), "rate": options.rate}
         for source in options.sources:
-            found[source] = _measure(played, source, options)
-            log.info("%s: %s", source, found[source])
+            if frames := played.frames(source):
+                found[source] = _measure(played, source, frames, options)
+                log.info("%s: %s", source, found[source])
     return found
 
 
@@ -133,6 +138,7 @@ class _Played:
         performance = IctPerformance(neutral, flat, even, times - first)
         self.truth = make_truth(performance, len(times), 0)
         self.face = self.rig.face()
+        self._points = landmark_points(template)
 
     def _template(self, options: argparse.Namespace, folder: Path) -> Template:
         if options.faces is None:
@@ -144,12 +150,21 @@ class _Played:
         return template
 
     def frames(self, source: Source) -> list[NDArray[np.float32]]:
-        """Return the numbers of each frame; those of markers leave their set in the folder."""
+        """Return the numbers of each frame; those of markers leave their set in the folder.
+
+        There are no landmarks of a template without a detector's points.
+        """
         if source == "weights":
             return [row.astype("<f4") for row in self.weights]
+        moved = enumerate(self.truth.heads)
         if source == "points":
-            heads = self.truth.heads
-            return [head(self.truth.skin(row)).astype("<f4") for row, head in enumerate(heads)]
+            return [head(self.truth.skin(row)).astype("<f4") for row, head in moved]
+        if source == "landmarks":
+            if not any(name.isdecimal() for name in self._points.names):
+                return []
+            model = self.rig.model
+            film = FilmedLandmarks(self._points, model.skin.vertices[model.face].mean(axis=0))
+            return [film.seen(self.truth.skin(row), head) for row, head in moved]
         bench = Bench(self.face, self.truth, MARKERS)
         markers = MarkerSet(tuple(map(_within, bench.markers)), IDENTITY, self.rig.model.sha256)
         self.files["marker_set"] = self.folder / "markers.json"
@@ -175,9 +190,10 @@ class _Run:
     checks: int = 0
 
 
-def _measure(played: _Played, source: Source, options: argparse.Namespace) -> Figures:
+def _measure(
+    played: _Played, source: Source, frames: list[NDArray[np.float32]], options: argparse.Namespace
+) -> Figures:
     """Play one source through a session, and solve all of its frames in full afterwards."""
-    frames = played.frames(source)
     about = LiveOptions(source, options.rate, check_seconds=options.pause)
     session = LiveSession.open(played.files, played.folder, about, _listen)
     try:
@@ -208,11 +224,26 @@ def _measure(played: _Played, source: Source, options: argparse.Namespace) -> Fi
         for errors, amounts in ((truth, sample.sent), (plain, sample.plain)):
             off = (session.face.skin_of(amounts) - skin)[shown]
             errors[sample.number] = np.linalg.norm(off, axis=1).mean()
-    known = truth[np.isfinite(truth)]
-    found["error_mm"] = {"mean": float(known.mean()), "p95": float(np.percentile(known, 95))}
+    found["error_mm"] = _summary(truth[np.isfinite(truth)])
     found["plain_mm"] = float(np.nanmean(plain))
+    if source != "weights":
+        found["truth_mm"] = _summary(_off_truth(played, session, done.samples[:: options.every]))
     found["running_error_ratio"] = _ratio(done, truth, about.window_s * options.rate)
     return found
+
+
+def _summary(errors: Floats) -> Figures:
+    return {"mean": float(errors.mean()), "p95": float(np.percentile(errors, 95))}
+
+
+def _off_truth(played: _Played, session: LiveSession, samples: list[Sample]) -> Floats:
+    """Return how far the faces that were sent are off the true ones, both in the head's frame."""
+    shown = played.rig.model.face
+    off = [
+        session.face.skin_of(sample.sent)[shown] - played.truth.skin(sample.number)[shown]
+        for sample in samples
+    ]
+    return np.asarray(np.linalg.norm(off, axis=2).mean(axis=1))
 
 
 def _play(session: LiveSession, frames: list[NDArray[np.float32]], rate: float) -> _Run:
@@ -261,7 +292,7 @@ def _listen(phase: str, part: float) -> None:
 def section(figures: Figures) -> Section:
     """Return the document's section."""
     header = ["source", "p50, ms", "p95, ms", "p99, ms", "dropped, %"]
-    header += ["error, mm", "p95, mm", "without mending, mm", "told over true"]
+    header += ["error, mm", "p95, mm", "without mending, mm", "off the truth, mm", "told over true"]
     rows = [
         [
             source,
@@ -270,6 +301,7 @@ def section(figures: Figures) -> Section:
             each["error_mm"]["mean"],
             each["error_mm"]["p95"],
             each["plain_mm"],
+            each["truth_mm"]["mean"] if "truth_mm" in each else None,
             each["running_error_ratio"],
         ]
         for source, each in figures.items()

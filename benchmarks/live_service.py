@@ -49,7 +49,7 @@ class Recording(Protocol):
     files: dict[str, Path]  # that the sources' frames need, by their roles
 
     def frames(self, source: Source) -> Sequence[np.ndarray]:
-        """Return the numbers of each frame."""
+        """Return the numbers of each frame, none where the rig has no such source."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -82,6 +82,8 @@ def run(options: argparse.Namespace, recording: Callable[[Path], Recording]) -> 
         if "sources" in options.parts:
             for source in options.sources:
                 numbers = played.frames(source)
+                if not numbers:
+                    continue
                 captures = _marker_set(stack, rig, played) if source == "markers" else []
                 found[source] = anyio.run(
                     one_session, stack, rig, numbers, rate, seconds, source, captures

@@ -100,27 +100,34 @@ class AttemptFolder:
             _fetch(store, _as_input("result so far", name, sha256), kept)
             self._written[name] = kept.stat().st_mtime_ns
             self._replaceable[name] = kept.stat().st_size
-        has_takes = self._rescue_takes()
+        has_left = self._take_over()
         job = {
             "kind": self._claim.kind,
             "inputs": inputs,
             "options": self._claim.options,
-            "resume": bool(self._claim.frames or self._claim.kept or has_takes),
+            "resume": bool(self._claim.frames or self._claim.kept or has_left),
         }
         (self.path / "job.json").write_text(json.dumps(job))
         self._staged = self._disk_bytes()
 
-    def _rescue_takes(self) -> bool:
-        """Take over what an earlier attempt on this host was recording; return whether it was."""
+    def _take_over(self) -> bool:
+        """Take over what earlier attempts at a live session left here; return whether any did.
+
+        It is newer than what was stored of it: takes that ended after the last beat, and the one
+        that was being recorded.
+        """
         if KINDS[self._claim.kind].queue != LIVE:
             return False
-        earlier = replace(self._claim, attempt=self._claim.attempt - 1)
-        left = AttemptFolder(self.path.parent, earlier)._left()
-        parts = [path for path in left if path.name.endswith(PART)]
-        for path in parts:
-            with suppress(FileNotFoundError):  # the sweeper was faster
-                path.rename(self.path / "out" / path.name)
-        return bool(parts)
+        found = False
+        for attempt in range(1, self._claim.attempt):
+            earlier = AttemptFolder(self.path.parent, replace(self._claim, attempt=attempt))
+            for path in earlier._left():
+                with suppress(FileNotFoundError):  # the sweeper was faster
+                    path.rename(self.path / "out" / path.name)
+                    found = True
+                    if not path.name.endswith(PART):
+                        self._keeps.add(path.name)
+        return found
 
     def error(self) -> dict[str, Any] | None:
         """Return the solver's error, if it reported one.

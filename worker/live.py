@@ -20,7 +20,7 @@ from service.queue.streams import KEPT_SECONDS, MOST_OUT, TOLD, Answered, Fields
 from service.queue.wakeups import AWAY, connect
 from solver.kinds.live_channel import Channel, ChannelClosedError
 from solver.kinds.live_messages import FollowedFrame, Message, MessageError
-from solver.kinds.live_session import VIEW_FILE
+from solver.kinds.live_session import REPORT, VIEW_FILE
 
 RESUME = Message(b'{"resume": true}', is_text=True)
 
@@ -94,7 +94,7 @@ class Bridge:
             client.close()
 
     def left(self) -> list[str]:
-        """Return the names of files that are there by now: takes, and what a page draws by."""
+        """Return the names of files that are there by now: takes, their list, and the view."""
         return list(self._left)
 
     def _read(self) -> None:
@@ -200,7 +200,7 @@ class Bridge:
         if kind == "take":
             self._told.pop("recording", None)
             if isinstance(file := said.get("file"), str):
-                self._left.append(file)
+                self._left += [file, REPORT]
         self._is_told = False
 
     def _count(self, message: Message) -> Message:

@@ -28,19 +28,17 @@ from solver.kinds.live_messages import (
     Message,
     MessageError,
 )
-from solver.kinds.live_session import PART, VIEW_FILE
+from solver.kinds.live_session import PART, REPORT, VIEW_FILE
 from solver.kinds.live_session import LiveSession as Options
 from solver.live.checks import SAMPLES_FILE
 from solver.live.sent import FILE as TAKES_FILE
 from solver.live.sent import gather_takes
 from solver.live.session import LiveOptions, LiveSession
 from solver.live.skin import FILE
-from solver.live.takes import LeftTake, SentFace, TakeWriter, check_name, finish_part
+from solver.live.takes import LeftTake, SentFace, TakeWriter, check_name, drop_part, finish_part
 from solver.live.texts import describe_frame, read_frame
 from solver.progress import Step
 from solver.storage import write_json
-
-REPORT = "live.json"
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ class _Loop:
         self._dropped = 0
         self._ending: str | None = None
         self._take: TakeWriter | None = None
-        self._takes: list[dict[str, Any]] = []
+        self._takes: dict[str, dict[str, Any]] = {}  # by their files
         self._faults = _Faults(channel)
         self._shown = 0.0
         self._is_resuming = False
@@ -241,8 +239,21 @@ class _Loop:
         self._left(take, told)
 
     def _left(self, take: LeftTake, more: Mapping[str, Any]) -> None:
-        self._takes.append({**asdict(take), **more})
+        """List a take and tell of it.
+
+        The list is written before what was recorded goes: whenever a worker is killed, the next
+        attempt finds the take in the one or the other.
+        """
+        self._takes[take.file] = {**asdict(take), **more}
+        self._report({"takes": [*self._takes.values()]})
+        drop_part(self._task.out, take)
         self._tell({"type": "take", **asdict(take)})
+
+    def _report(self, report: Mapping[str, Any]) -> None:
+        """Replace the report whole."""
+        part = self._task.out / f".{REPORT}"
+        write_json(part, report)
+        part.replace(self._task.out / REPORT)
 
     def _look_at_clock(self, session: LiveSession) -> None:
         now = time.monotonic()
@@ -280,9 +291,14 @@ class _Loop:
         self._channel.send(Message(json.dumps(said).encode(), is_text=True))
 
     def _rescue_takes(self) -> None:
-        """Finish takes that an attempt before was recording when it died."""
-        parts = sorted(self._task.out.glob(f"take_*{PART}")) if self._task.resume else []
-        for part in parts:
+        """List the takes of attempts before, and finish one that was being recorded."""
+        out = self._task.out
+        if not self._task.resume:
+            return
+        if (out / REPORT).is_file():
+            listed = json.loads((out / REPORT).read_text(encoding="utf-8"))["takes"]
+            self._takes = {take["file"]: take for take in listed}
+        for part in sorted(out.glob(f"take_*{PART}")):
             take = finish_part(part)
             if take is not None:
                 self._left(take, {"rescued": True})
@@ -298,14 +314,14 @@ class _Loop:
             self._tell({"type": "ended", "reason": reason})
         for left in out.glob(f"{SAMPLES_FILE}*"):  # nobody goes on from here
             left.unlink(missing_ok=True)
-        gather_takes(out, None if session is None else session.modes)
         figures = {} if session is None else session.figures()
         seconds = round(time.monotonic() - self._begin, 1)
         report = {**figures, "dropped": self._dropped, "seconds": seconds, "ended": reason}
-        write_json(out / REPORT, {**report, "faults": self._faults.counts, "takes": self._takes})
+        self._report({**report, "faults": self._faults.counts, "takes": [*self._takes.values()]})
+        gather_takes(out, None if session is None else session.modes)
         self._task.progress(Step("done", 1.0))
-        takes = [out / take["file"] for take in self._takes]
         made = [out / name for name in (FILE, VIEW_FILE, BASIS_FILE, TAKES_FILE)]
+        takes = [out / file for file in self._takes]
         return [out / REPORT, *(path for path in made if path.is_file()), *takes]
 
 

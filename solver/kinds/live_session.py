@@ -11,6 +11,8 @@ from pydantic import Field
 
 from solver.kinds.kind import JobOptions, Kind
 
+# How a session went, at its end; before that the takes that are whole, for the next attempt
+REPORT = "live.json"
 VIEW_FILE = "live_view.bin"  # the shapes that a page draws a session's frames by
 # Ends the names of takes that are being recorded: the next attempt finishes what it finds of them
 PART = ".part"

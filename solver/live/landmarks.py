@@ -2,7 +2,8 @@
 
 A frame's landmarks are in pixels or any other unit, x to the right, y down and z away from the
 camera. The size of a unit is found in every frame, by the similarity that takes the face as it is
-expected to what was seen; depth, which a detector guesses, counts less.
+expected to what was seen, and the camera's distance by all (:mod:`solver.live.perspective`); depth,
+which a detector guesses, counts less.
 """
 
 from __future__ import annotations
@@ -14,16 +15,18 @@ import numpy as np
 from typing_extensions import override
 
 from solver.anatomy.skin_points import SkinPoints
+from solver.anatomy.warp import spread
 from solver.errors import InputError
 from solver.fitting.markers.robust import RobustOptions
 from solver.live.follow import FollowOptions, PlaceFollower, PlaceSource, ReducedPlaces, as_live
+from solver.live.perspective import Perspective, PerspectiveOptions
 from solver.live.points import PointOptions, RobustPoints
 from solver.live.source import FollowedFace
 from solver.model import SubjectModel
 from solver.rig.frames.skin_basis import ReducedSkin
 from solver.rig.preview.sliders import Sliders
 from solver.scans.markers.places.marker_set import Marker
-from solver.similarity import fit_similarity
+from solver.similarity import Similarity
 from solver.surface import Floats
 
 Number = TypeVar("Number", int, float)
@@ -39,6 +42,7 @@ class LandmarkOptions:
     least: int = 20  # that a template must have, and a frame must show
     depth: float = 4.0  # times as uncertain as in the picture's plane
     spread: float = 0.5  # part of a landmark's spread over pictures that is noise of a frame
+    perspective: PerspectiveOptions = field(default_factory=PerspectiveOptions)
     follow: PointOptions = field(
         default_factory=lambda: PointOptions(
             wrong_mm=8.0, follow=FollowOptions(noise_mm=1.0, robust=RobustOptions(scale_mm=4.0))
@@ -48,6 +52,9 @@ class LandmarkOptions:
 
 class LiveLandmarks(PlaceSource):
     """Follows the landmarks (478, 3) of a detector, at the ``points`` that a template has of them.
+
+    Those that count are far from each other: where landmarks are dense, as about eyes and lips,
+    they would outweigh the rest of the face.
 
     Raises :class:`InputError` (``live.no_landmarks``) where that has too few.
     """
@@ -70,6 +77,10 @@ class LiveLandmarks(PlaceSource):
             )
             about = {"found": len(found.names), "expected": options.least}
             raise InputError("live.no_landmarks", message, **about)
+        at_rest = found.of(model.skin.vertices)
+        nose = int(np.argmax(at_rest[:, 2]))  # its tip is foremost
+        chosen = np.sort(spread(at_rest, min(options.follow.count, len(at_rest)), nose))
+        found = found.select([found.names[number] for number in chosen])
         self._used = np.array([int(name) for name in found.names])
         self._options = options
         self.clue_count = 3 * len(self._used)
@@ -81,6 +92,7 @@ class LiveLandmarks(PlaceSource):
         ]
         self._places = ReducedPlaces(model, sliders, skin, markers)
         sigma = options.spread * found.spread_mm[:, None] * [1.0, 1.0, options.depth]
+        self.perspective = Perspective(options.perspective)
         judge = RobustPoints(self._places, options.follow)
         own = options.follow.follow
         self._follower = PlaceFollower(self._places, sigma, len(sliders), judge, own)
@@ -93,8 +105,18 @@ class LiveLandmarks(PlaceSource):
             found = self._follower.step(np.full_like(seen, np.nan), seconds)
             return replace(as_live(found), is_held=True)
         at = self._places.at(self._follower.memory.values)
-        size = fit_similarity(at[known], seen[known]).scale
-        return as_live(self._follower.step(seen / max(size, 1e-9), seconds))
+        flat = self.perspective.flatten(seen, at, seconds)
+        return as_live(self._follower.step(flat, seconds))
+
+    @override
+    def begin(self) -> None:
+        super().begin()
+        self.perspective.begin()
+
+    @override
+    def resume(self, values: Floats, head: Similarity) -> None:
+        super().resume(values, head)
+        self.perspective.begin()
 
 
 def _is_landmark(name: str) -> bool:

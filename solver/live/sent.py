@@ -129,18 +129,20 @@ def gather_takes(out: Path, modes: SentModes | None, options: SentOptions = Sent
     What an earlier session of the same modes left there is kept. Without ``modes``, as of a session
     that never began, only the takes' own files go.
     """
-    takes: list[SentTake] = []
+    found: dict[tuple[str, str], SentTake] = {}
     parts = sorted(out.glob(f"sent_*{PART}"), key=lambda path: path.stat().st_mtime_ns)
     for path in (out / FILE, *parts):
         if modes is not None and path.is_file():
-            takes += _takes_of(path, modes)
-        if path.name != FILE:
-            path.unlink()
-    if modes is None or not takes:
-        return
-    room = options.most_bytes - np.cumsum([each.amounts.nbytes for each in takes[::-1]])
-    kept = takes[len(takes) - int(np.count_nonzero(room >= 0)) :]
-    write_takes(out / FILE, modes.identity, kept, {"basis": modes.basis})
+            for take in _takes_of(path, modes):  # of an attempt that was killed here one is in both
+                found.pop((take.name, take.sha256), None)
+                found[take.name, take.sha256] = take
+    if modes is not None and found:
+        takes = [*found.values()]
+        room = options.most_bytes - np.cumsum([each.amounts.nbytes for each in takes[::-1]])
+        kept = takes[len(takes) - int(np.count_nonzero(room >= 0)) :]
+        write_takes(out / FILE, modes.identity, kept, {"basis": modes.basis})
+    for path in parts:
+        path.unlink()
 
 
 def _takes_of(path: Path, modes: SentModes) -> list[SentTake]:

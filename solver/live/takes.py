@@ -113,7 +113,7 @@ class TakeWriter:
         self.frames += 1
 
     def finish(self) -> LeftTake | None:
-        """Leave the take's file; None of a take without frames, which leaves nothing."""
+        """Leave the take's file, as :func:`finish_part`."""
         self._stream.close()
         return finish_part(self._path, self._options)
 
@@ -144,7 +144,8 @@ def check_name(name: object, folder: Path, source: Source) -> str:
 def finish_part(path: Path, options: TakeLimits = TakeLimits()) -> LeftTake | None:
     """Make the file of a take of what was recorded of it; None where it has no whole frame.
 
-    What was sent of its frames is left beside it (:func:`~solver.live.sent.part_of`).
+    What was sent of its frames is left beside it (:func:`~solver.live.sent.part_of`). What was
+    recorded stays until :func:`drop_part`, of a take without frames nothing does.
     """
     with path.open("rb") as stream:
         header = json.loads(stream.readline())
@@ -164,9 +165,12 @@ def finish_part(path: Path, options: TakeLimits = TakeLimits()) -> LeftTake | No
     WRITERS[source](recorded)
     rows = later[recorded.seen()] if source == "weights" else recorded.even()
     _leave_sent(out, header, frames, rows)
-    del frames, recorded
-    path.unlink()
     return LeftTake(header["name"], out.name, len(later), float(seconds[-1] - seconds[0]))
+
+
+def drop_part(folder: Path, take: LeftTake) -> None:
+    """Remove what was recorded of a take that is whole; call it once the take is listed."""
+    (folder / f"{take.file}{PART}").unlink(missing_ok=True)
 
 
 def _leave_sent(

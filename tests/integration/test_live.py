@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import shutil
 import signal
 import time
 from array import array
@@ -236,7 +237,7 @@ def test_a_slow_reader_misses_frames_and_holds_nobody_up(
             assert numbers[-len(last) :] == list(last)
 
 
-@pytest.mark.parametrize("what", ["solver", "worker", "broker", "api"])
+@pytest.mark.parametrize("what", ["solver", "worker", "host", "broker", "api"])
 def test_a_session_goes_on_after_a_kill(
     live: tuple[Stack, Studio, str], client: Client, what: str
 ) -> None:
@@ -246,13 +247,15 @@ def test_a_session_goes_on_after_a_kill(
         face.record("before")
         face.stop()
         face.record("during")
-        time.sleep(1)  # the take is stored with the next beat
+        if what == "host":
+            time.sleep(1)  # the take is stored with the next beat
+            shutil.rmtree(stack.settings.work / f"{face.id}.1" / "out")  # another host has no more
         [followed] = face.track([[1, 2, 3]])
         sent = followed.number
         if what == "solver":
             [socket] = [face._socket]
             socket.send(json.dumps({"kill": True}))
-        elif what == "worker":
+        elif what in ("worker", "host"):
             held_by = studio.job(face.id)["attempts"][-1]["worker"].split(":")[1]
             assert int(held_by) in (stack.pid("live"), stack.pid(SPARE))
             os.kill(int(held_by), signal.SIGKILL)
@@ -266,12 +269,13 @@ def test_a_session_goes_on_after_a_kill(
     job = studio.job(face.id)
     assert job["state"] == "succeeded"
     outcomes = [attempt["outcome"] for attempt in job["attempts"]]
-    is_lost = what in ("solver", "worker")
+    is_lost = what in ("solver", "worker", "host")
     assert outcomes == (["lost", "succeeded"] if is_lost else ["succeeded"])
     left = {each["name"] for each in job["result"]["artifacts"]}
-    assert "before.csv" in left
+    takes = ["before"] if what in ("host", "broker", "api") else ["before", "during"]
+    assert job["result"]["summary"]["takes"] == takes
+    assert {name for name in left if name.endswith(".csv")} == {f"{take}.csv" for take in takes}
     if is_lost:
-        assert "during.csv" in left
         assert not [name for name in left if name.endswith(PART)]
         assert job["result"]["summary"]["resumed_from"] == sent
         eventually(lambda: all(map(_is_alive, (stack.pid("live"), stack.pid(SPARE)))), 30)

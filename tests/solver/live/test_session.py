@@ -1,6 +1,7 @@
 """A session as its job holds it: messages in and out, clocks, faults, takes and full solves."""
 
 import json
+import shutil
 import time
 
 import numpy as np
@@ -10,6 +11,7 @@ from solver.errors import InputError
 from solver.jobs import run_job
 from solver.kinds.live_channel import ChannelClosedError
 from solver.kinds.live_messages import GAP, HELD, RESUMED, GivenFrame, Message
+from solver.kinds.live_session import PART, REPORT
 from solver.live.sent import FILE as TAKES_FILE
 from solver.live.sent import read_takes
 from solver.live.session import Counts, LiveOptions, LiveSession, RunningError
@@ -131,26 +133,43 @@ def test_another_attempt_goes_on_from_the_last_frame(files, tmp_path):
     client.thread.join()
 
 
-def test_another_attempt_finishes_the_take_of_one_that_was_killed(files, tmp_path):
-    session = LiveSession.open(files, tmp_path, LiveOptions("weights", check_seconds=0))
-    whole = TakeWriter(tmp_path, "whole", "weights", session.source.labels, (61, 1), session.modes)
+def test_another_attempt_lists_the_takes_of_one_that_was_killed(files, tmp_path):
+    """One was listed, one whole but not yet listed, and one was being recorded."""
+    first = Client(files, tmp_path / "first")
+    first.say(record="listed")
+    first.hear("recording")
+    first.frame(1, 0.0)
+    first.say(stop=True)
+    first.hear("take")
+    out = tmp_path / "second"
+    shutil.copytree(tmp_path / "first", out)  # as the kill leaves it
+    first.say(end=True)
+    first.thread.join()
+    session = LiveSession.open(files, out, LiveOptions("weights", check_seconds=0))
+    about = ("weights", session.source.labels, (61, 1), session.modes)
+    whole = TakeWriter(out, "whole", *about)
     whole.add(0.0, np.zeros((61, 1)), SentFace(np.ones(len(session.modes.basis)), (0.1, 0.2)))
     whole.finish()
-    torn = TakeWriter(tmp_path, "torn", "weights", session.source.labels, (61, 1), session.modes)
+    torn = TakeWriter(out, "torn", *about)
     for number in range(3):
         sent = SentFace(np.full(len(session.modes.basis), number), (0.1, 0.2 * number))
         torn.add(number / 60, np.zeros((61, 1)), sent)
-    client = Client(files, tmp_path, resume=True)
-    assert client.hear("take")["name"] == "torn"
+    client = Client(files, out, resume=True)
+    assert {client.hear("take")["name"] for _ in range(2)} == {"torn", "whole"}
     client.hear("ready")
     client.say(end=True)
     client.thread.join()
-    assert tmp_path / TAKES_FILE in client.left
-    _, [first, second] = read_takes(tmp_path / TAKES_FILE)
-    assert (first.name, second.name) == ("whole", "torn")
-    assert second.frames.tolist() == [0, 1, 2]
-    assert second.amounts[:, -1].tolist() == [0, 1, 2]
-    assert second.told == {"p50_mm": 0.1, "p95_mm": 0.4}
+    takes = json.loads((out / REPORT).read_text())["takes"]
+    assert [each["name"] for each in takes] == ["listed", "torn", "whole"]
+    assert "rescued" not in takes[0]
+    assert not list(out.glob(f"*{PART}"))
+    assert {out / TAKES_FILE, *(out / each["file"] for each in takes)} <= {*client.left}
+    _, sent = read_takes(out / TAKES_FILE)
+    found = {each.name: each for each in sent}
+    assert {*found} == {"listed", "whole", "torn"}
+    assert found["torn"].frames.tolist() == [0, 1, 2]
+    assert found["torn"].amounts[:, -1].tolist() == [0, 1, 2]
+    assert found["torn"].told == {"p50_mm": 0.1, "p95_mm": 0.4}
 
 
 def test_a_session_without_frames_ends(files, tmp_path):

@@ -7,7 +7,15 @@ import pytest
 
 from solver.errors import InputError
 from solver.live.sent import FILE, SentModes, SentOptions, gather_takes, part_of, read_takes
-from solver.live.takes import PART, SentFace, TakeWriter, check_name, file_name, finish_part
+from solver.live.takes import (
+    PART,
+    SentFace,
+    TakeWriter,
+    check_name,
+    drop_part,
+    file_name,
+    finish_part,
+)
 from solver.live.weights import LiveWeights
 from solver.scans.markers.readers.take import read_take
 from solver.scans.performance import ARKIT_NAMES, read_live_link
@@ -24,7 +32,9 @@ def record(folder, source, labels, frames):
     writer = TakeWriter(folder, "one", source, labels, frames.shape[1:], MODES)
     for seconds, numbers, sent in zip(TIMES, frames, SENT, strict=True):
         writer.add(seconds, numbers, sent)
-    return writer.finish()
+    left = writer.finish()
+    drop_part(folder, left)
+    return left
 
 
 def test_markers_are_left_at_even_times(tmp_path):
@@ -69,7 +79,10 @@ def test_a_take_whose_process_died_is_finished_by_its_part(tmp_path):
     writer._stream.write(b"half of a frame")
     writer._stream.flush()
     part = tmp_path / f"{file_name('two', 'points')}{PART}"
-    assert finish_part(part).frames == 3
+    left = finish_part(part)
+    assert left.frames == 3
+    assert finish_part(part) == left  # of an attempt that was killed before it was listed
+    drop_part(tmp_path, left)
     assert not part.exists()
     assert np.load(tmp_path / "take_two.npy").shape == (3, 4, 3)
 
@@ -107,10 +120,10 @@ def test_what_was_sent_of_all_takes_is_gathered(tmp_path):
     other = SentModes(MODES.rig, MODES.basis + np.float16(1))
     stranger = TakeWriter(tmp_path, "other", "points", [], (4, 3), other)
     stranger.add(0.0, frames[0])
-    stranger.finish()
+    drop_part(tmp_path, stranger.finish())
     held = TakeWriter(tmp_path, "held", "points", [], (4, 3), MODES)
     held.add(0.0, frames[0])
-    held.finish()
+    drop_part(tmp_path, held.finish())
     assert gathered() == ["one", "held"]  # a later session in the same folder
     record(tmp_path, "points", [], frames)
     assert gathered(options=SentOptions(most_bytes=20)) == ["held", "one"]

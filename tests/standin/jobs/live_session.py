@@ -7,7 +7,7 @@ import time
 
 from solver.jobs import Task
 from solver.kinds.live_messages import RESUMED, FollowedFrame, GivenFrame, Message, MessageError
-from solver.kinds.live_session import PART
+from solver.kinds.live_session import PART, REPORT
 
 
 def run(task: Task) -> None:
@@ -21,12 +21,14 @@ def run(task: Task) -> None:
     (task.out / "live_skin.npz").write_text("skin")
     layout = [{"name": "values", "shape": [3]}]
     say(type="ready", source=task.options.source, expects={"rows": 3, "width": 1}, layout=layout)
-    figures = {"frames": 0, "takes": [], "inputs": sorted(task.inputs), "resume": task.resume}
+    report = task.out / REPORT
+    takes = json.loads(report.read_text())["takes"] if task.resume and report.is_file() else []
+    figures = {"frames": 0, "takes": takes, "inputs": sorted(task.inputs), "resume": task.resume}
     recorded: list[int] = []
     name = None
     for part in task.out.glob(f"*{PART}") if task.resume else ():
         part.rename(task.out / part.stem)
-        figures["takes"].append(part.name.split(".")[0])
+        takes.append(part.name.split(".")[0])
     flags = 0
     heard = time.monotonic()
     while time.monotonic() - heard < task.options.idle_seconds:
@@ -51,9 +53,10 @@ def run(task: Task) -> None:
             say(type="recording", name=name)
         if "stop" in words and name:
             file = f"{name}.csv"
-            (task.out / f"{file}{PART}").unlink()
             (task.out / file).write_text("\n".join(map(str, recorded)))
-            figures["takes"].append(name)
+            takes.append(name)
+            report.write_text(json.dumps({"takes": takes}))
+            (task.out / f"{file}{PART}").unlink()
             say(type="take", name=name, file=file, frames=len(recorded), seconds=1.0)
             name = None
         if "end" in words:
@@ -73,4 +76,4 @@ def run(task: Task) -> None:
         figures["frames"] += 1
         recorded.append(given.number)
     say(type="ended", reason="end")
-    (task.out / "live.json").write_text(json.dumps(figures))
+    report.write_text(json.dumps(figures))
