@@ -64,7 +64,7 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     what = "a film" if given.sequence else f"{len(task.captures)} photographs"
     progress(Step("read", 0.0, message=what))
     template = read_template(task)
-    rig = Rig.load(task.inputs)
+    rig = fits.read_rig_or_model(task)
     model = rig.model
     linear = given.linear_solver or fastest()
     tracks = MuscleTracks.load(task.inputs["tracks"], model)

@@ -141,6 +141,24 @@ def test_plain_shapes_by_landmarks_alone(files: Path, tmp_path: Path) -> None:
     assert told["expressions"]["front"]["photos"]["front"]["landmarks_mm"] < 1.0
 
 
+def test_a_model_serves_in_the_place_of_a_rig(files: Path, tmp_path: Path) -> None:
+    MODEL.save(tmp_path / "model.npz")
+    given: dict[str, Any] = {
+        "tracks": files / "tracks.npz",
+        "captures": {"front": files / "front.jpg"},
+        "facts": {"front": files / "front.json"},
+        "options": {"model": "shapes", "shading": False},
+    }
+    with pytest.raises(InputError, match="needs a rig or a model") as error:
+        run_job("fit_photo", tmp_path, **given)
+    assert error.value.code == "job.missing"
+    run_job("fit_photo", tmp_path, model=tmp_path / "model.npz", **given)
+    rig = Rig.load(tmp_path / "rig.npz")
+    assert not rig.expressions
+    assert (rig.model.rest == MODEL.rest).all()
+    assert off(rig.systems["B"].expressions[0].skin, smile()) < 0.5 * off(NEUTRAL, smile())
+
+
 def test_a_neutral_photograph_tells_where_a_person_s_landmarks_are(
     files: Path, tmp_path: Path
 ) -> None:
