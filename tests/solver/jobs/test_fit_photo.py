@@ -172,6 +172,26 @@ def test_a_neutral_photograph_tells_where_a_person_s_landmarks_are(
     assert moved[1] < 0.3 * moved[0]
 
 
+def test_a_photograph_of_somebody_else_is_told(files: Path, tmp_path: Path) -> None:
+    basis = builtin_template().shapes
+    assert basis is not None
+    who = np.random.default_rng(4).standard_normal(len(basis.identity))
+    stranger = smile() + np.tensordot(who, basis.identity, 1)
+    photograph(files, "stranger", stranger, 10.0)
+    rig, told = fit(files, tmp_path, "front", "stranger", model="shapes", shading=False)
+    codes = {
+        each.name: [notice.code for notice in each.notices] for each in rig.systems["B"].expressions
+    }
+    assert "photo.other_person" in codes["stranger"]
+    assert "photo.other_person" not in codes["front"]
+    assert [each["file"] for each in told["notices"]] == ["stranger"]
+    nats = {
+        name: each["photos"][name]["somebody_else_nats"]
+        for name, each in told["expressions"].items()
+    }
+    assert nats["front"] < 0.0 < nats["stranger"]
+
+
 def test_a_photograph_that_shows_no_skin_is_refused(files: Path, tmp_path: Path) -> None:
     photograph(files, "night", smile(), 0.0)
     Image.new("RGB", SIZE).save(files / "night.jpg")
