@@ -32,6 +32,7 @@ from solver.photo.fit import PhotoFitOptions
 from solver.photo.light import Appearance
 from solver.photo.mesh_points import landmark_points
 from solver.photo.oddities import find_closed_eyes
+from solver.photo.other_person import find_other_person, somebody_else
 from solver.photo.photo import Photo
 from solver.photo.placed import Reprojection, find_contradiction, reprojections
 from solver.photo.report import photo_figures, photo_picture
@@ -64,7 +65,7 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     what = "a film" if given.sequence else f"{len(task.captures)} photographs"
     progress(Step("read", 0.0, message=what))
     template = read_template(task)
-    rig = Rig.load(task.inputs)
+    rig = fits.read_rig_or_model(task)
     model = rig.model
     linear = given.linear_solver or fastest()
     tracks = MuscleTracks.load(task.inputs["tracks"], model)
@@ -77,6 +78,9 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     photos, findings = read_faces(task, template, given.boxes)
     moments = _moments(given, photos)
     points = landmark_points(template)
+    others = somebody_else(template, model.skin.vertices, photos, points)
+    for name, nats in others.items():
+        findings[name] += find_other_person(name, nats, "the person of the model")
     face = rig.face(linear)
     check_held(face)
     letter = LETTERS[given.model]
@@ -114,12 +118,13 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     results = {name: each.result for name, each in shown.items() if each.result is not None}
     figures = {
         name: photo_figures(
-            [photos[each] for each in moments[name]], result, points, shown[name].placed
+            [photos[each] for each in moments[name]], result, points, shown[name].placed, others
         )
         for name, result in results.items()
     }
     own = [task.out / name for name in ("photo.json", "photo.png")]
-    write_json(own[0], {"model": given.model, "expressions": figures})
+    notices = [each.as_dict() for found in findings.values() for each in found]
+    write_json(own[0], {"model": given.model, "notices": notices, "expressions": figures})
     sheets = [([photos[each] for each in moments[name]], results[name]) for name in results]
     photo_picture(model, sheets, points, own[1])
     ending = part_of(progress, 0.5)

@@ -62,6 +62,21 @@ def control_settings(drive: MuscleDrive) -> dict[str, Any]:
     return {"controls": stored.pop("name"), **stored}
 
 
+def read_rig_or_model(task: Task[Any]) -> Rig:
+    """Return a job's rig; of a model alone, that person as built, without expressions.
+
+    Its muscles may do what a fit of expressions lets them by default. Raises :class:`InputError`:
+    ``job.missing`` without either, and as the files' readers.
+    """
+    files = task.inputs
+    if "rig" in files or "weights" in files:
+        return Rig.load(files)
+    if "model" in files:
+        model = SubjectModel.load(files["model"])
+        return Rig(model, model.weights, (), drive=Admissible())
+    raise InputError("job.missing", "the job needs a rig or a model", expected=["rig", "model"])
+
+
 def read_scans(subject: SubjectModel, captures: Mapping[str, Path]) -> dict[str, RegisteredScan]:
     """Read registered scans; faults of all are raised at once, so that all can be mended."""
     if not captures:

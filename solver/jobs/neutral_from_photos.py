@@ -17,6 +17,7 @@ from solver.meshio.registered import write_registered
 from solver.model import SIZE_WORDS
 from solver.photo.identity import IdentityFit, IdentityOptions, fit_identity
 from solver.photo.mesh_points import landmark_points
+from solver.photo.other_person import find_other_person, not_as_the_rest
 from solver.photo.photo import Photo
 from solver.photo.report import camera_figures, identity_picture
 from solver.progress import Step
@@ -42,13 +43,16 @@ def run(task: Task[NeutralFromPhotos]) -> list[Path]:
     named, findings = read_faces(task, template, given.boxes)
     photos = [*named.values()]
     points = landmark_points(template)
+    others = not_as_the_rest(template, named, points)
+    for name, nats in others.items():
+        findings[name] += find_other_person(name, nats, "who is in the rest of the photographs")
     progress(Step("fit", 0.2))
     found = fit_identity(template, photos, points, _options(given))
     progress(Step("pictures", 0.9))
     files = [task.out / name for name in ("neutral.ply", "neutral.json", "neutral.png")]
     skin = template.skin.with_vertices(found.neutral)
     write_registered(files[0], skin, np.ones(len(found.neutral)), "photographs")
-    write_json(files[1], _report(photos, found, points, findings))
+    write_json(files[1], _report(photos, found, points, findings, others))
     identity_picture(template, photos, found, points, files[2])
     progress(Step("done", 1.0))
     return files
@@ -67,7 +71,11 @@ def _options(given: NeutralFromPhotos) -> IdentityOptions:
 
 
 def _report(
-    photos: list[Photo], found: IdentityFit, points: SkinPoints, findings: dict[str, list[Finding]]
+    photos: list[Photo],
+    found: IdentityFit,
+    points: SkinPoints,
+    findings: dict[str, list[Finding]],
+    others: dict[str, float],
 ) -> dict[str, Any]:
     """Return what is told of an estimate as JSON values."""
     odd = [each for name in findings for each in findings[name]]
@@ -83,6 +91,8 @@ def _report(
             **camera_figures(photo, found.cameras[row], found.skins[row], points),
             "weights": weights,
         }
+        if photo.name in others:
+            told[photo.name]["somebody_else_nats"] = round(others[photo.name], 2)
     return {
         "notices": [each.as_dict() for each in notices],
         "size_from": "photographs",

@@ -2,9 +2,10 @@
 
 Weights of the template's shapes, a jaw and cameras for every photograph: first by landmarks, then
 by the light on the skin, through flesh that keeps its volume and lips that meet. Photographs of
-one moment are fitted together. The new rig is the parent with these expressions in its system of
-muscle tracks; pictures show how far plate and face agree. A film is fitted frame after frame, and
-leaves a sequence instead; its frames can be read while the job runs.
+one moment are fitted together. The new rig is the parent, or without one the model as it was built,
+with these expressions in its system of muscle tracks; pictures show how far plate and face agree. A
+film is fitted frame after frame, and leaves a sequence instead; its frames can be read while the
+job runs.
 """
 
 from typing import Annotated, Literal
@@ -91,7 +92,7 @@ class FitPhoto(SequenceOptions):
         return not self.sequence if self.shading is None else self.shading
 
 
-READS = ("rig", "template", "tracks", "photos")
+READS = ("any_rig", "model", "template", "tracks", "photos")
 
 KIND = Kind(
     queue="short",

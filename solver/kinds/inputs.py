@@ -91,7 +91,8 @@ INPUTS: Mapping[str, Input] = {
     ),
     "model": Input(
         (_given("model", "model.npz"),),
-        beside_a_rig=(_option("model", "model.npz, where no rig is given"),),
+        # an option may be called "model": that of fit_photo says what is fitted
+        beside_a_rig=(_option("person", "model.npz, where no rig is given", role="model"),),
     ),
     "rig": Input((_given("rig", RIG, "file or folder"),)),
     "any_rig": Input((_option("rig", RIG, form="file or folder"),)),

@@ -82,11 +82,7 @@ def fit_identity(
     ``photo.no_identity`` for a template without shapes of people, and as
     :func:`~solver.photo.expression.fit_expression`.
     """
-    basis = template.shapes
-    if basis is None or not len(basis.identity):
-        message = "the template knows one person alone: it has no shapes of others to be found"
-        raise InputError("photo.no_identity", message)
-    shapes = _Shapes.of(template, basis)
+    shapes = _Shapes.of(template)
     moments = [replace(photo, is_placed=False) for photo in photos]
     point = _Point.at_rest(shapes, len(photos))
     steps = 0
@@ -107,6 +103,48 @@ def fit_identity(
     )
 
 
+def shapes_of(template: Template) -> ShapeBasis:
+    """Return a template's shapes of people; raises :class:`InputError` (``photo.no_identity``)."""
+    basis = template.shapes
+    if basis is None or not len(basis.identity):
+        message = "the template knows one person alone: it has no shapes of others to be found"
+        raise InputError("photo.no_identity", message)
+    return basis
+
+
+@dataclass(frozen=True)
+class SeenPerson:
+    """A person who is known, in a photograph: what is seen of them, and their expression there."""
+
+    view: PhotoView
+    camera: PinholeCamera
+    skin: Floats  # (V, 3)
+    weights: Floats  # (K,) of the columns ``expressions``
+    expressions: Floats  # (3 V, K) motions of the skin
+
+
+def see_person(
+    template: Template,
+    neutral: Floats,
+    photo: Photo,
+    points: SkinPoints,
+    options: ExpressionOptions,
+) -> SeenPerson:
+    """Fit the template's expressions and a camera to the landmarks of a person with known skin.
+
+    ``neutral`` (V, 3) is that person at rest. Raises :class:`InputError` as
+    :func:`~solver.photo.expression.fit_expression`.
+    """
+    shapes = _Shapes.of(template).of_person(neutral)
+    seen = template.skin.with_vertices(neutral)
+    (view,), _ = place_views([replace(photo, is_placed=False)], points, seen, options)
+    point = replace(_Point.at_rest(shapes, 1), cameras=(view.camera,))
+    for moves_face in (False, True):
+        problem = _IdentityProblem(shapes, (view,), IdentityOptions(options), moves_face)
+        point = minimise(problem, point, TrustRegion(options.fit.damping), options.fit.stop).point
+    return SeenPerson(view, point.cameras[0], point.skins[0], point.weights[0], shapes.columns)
+
+
 @dataclass(frozen=True)
 class _Shapes:
     """Shapes of people and of expressions, as columns of motions of the skin."""
@@ -117,8 +155,9 @@ class _Shapes:
     names: tuple[str, ...]  # (K,) of the expressions that a photograph shows
 
     @classmethod
-    def of(cls, template: Template, basis: ShapeBasis) -> _Shapes:
+    def of(cls, template: Template) -> _Shapes:
         """Return the shapes of a template; correctives come with what they correct."""
+        basis = shapes_of(template)
         known = dict(zip(basis.expression_names, basis.expressions, strict=True))
         shown = [name for name in known if not name.startswith(IGNORED)]
         moved = [
@@ -129,6 +168,11 @@ class _Shapes:
         prior = identity_model(topology(template), basis).prior
         columns = motions.reshape(len(motions), -1).T.copy()
         return cls(template.skin.vertices, prior, columns, tuple(shown))
+
+    def of_person(self, neutral: Floats) -> _Shapes:
+        """Return the shapes of one person alone, whose skin (V, 3) is known."""
+        expressions = self.columns[:, len(self.prior) :]
+        return replace(self, mean=neutral, prior=np.zeros((0, 0)), columns=expressions)
 
     def skin(self, b: Floats, weights: Floats) -> Floats:
         """Return the skin (V, 3) of a person b (m,) with ``weights`` (K,) of expressions."""

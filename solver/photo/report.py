@@ -37,10 +37,12 @@ def photo_figures(
     result: PhotoExpression[Any],
     points: SkinPoints,
     placed: Mapping[str, Reprojection],
+    others: Mapping[str, float],
 ) -> dict[str, Any]:
     """Return the figures of the fit of one moment as JSON values.
 
-    ``placed`` has those of its photographs whose cameras were placed beside others.
+    ``placed`` has those of its photographs whose cameras were placed beside others, and
+    ``others`` by how many nats each is likelier of somebody else, where that was judged.
     """
     point = result.fit.point
     found = {
@@ -49,6 +51,8 @@ def photo_figures(
     }
     for name, each in placed.items():
         found[name]["reprojection"] = each.as_dict()
+    for name in found.keys() & others.keys():
+        found[name]["somebody_else_nats"] = round(others[name], 2)
     return {
         "photos": found,
         "iterations": {"landmarks": result.landmarks.steps, "shading": result.fit.steps},

@@ -447,6 +447,18 @@ def test_a_person_without_a_scan_begins_with_photographs(show: Show, studio: Stu
     job = studio.job(page.url.rsplit("/", 1)[1])
     assert (job["kind"], job["captures"]) == ("neutral_from_photos", [plate])
     studio.done("build_model", subject_id)
+    studio.done("build_tracks", subject_id)
+    page = show(f"/subjects/{subject_id}")
+    page.get_by_label("Choose plate for a fit").check()
+    page.get_by_role("button", name="Fit photographs").click()
+    page.get_by_role("dialog").get_by_role("button", name="Submit").click()
+    picture = page.get_by_role("img", name="Photographs beside the fitted face")
+    eventually(lambda: picture.evaluate("image => image.naturalWidth") == 480)
+    job = studio.job(page.url.rsplit("/", 1)[1])
+    assert (job["kind"], job["captures"], job["rig_id"]) == ("fit_photo", [plate], None)
+    # the rig that it made is what photographs are fitted with next
+    page = show(f"/subjects/{subject_id}")
+    eventually(lambda: page.get_by_role("button", name="Fit photographs").count() == 1)
 
 
 def test_a_film_is_fitted_and_leaves_a_sequence(show: Show, studio: Studio) -> None:

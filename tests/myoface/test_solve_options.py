@@ -32,6 +32,7 @@ TYPED: Mapping[str, tuple[list[str], set[str]]] = {
 ASKED: Mapping[str, list[tuple[list[str], dict[str, str]]]] = {
     "capture": [(["--landmarks", "landmarks.json"], {"landmarks": "landmarks.json"})],
     "neutral": [(["--neutral", "neutral.obj"], {"neutral": "neutral.obj"})],
+    "model": [(["--person", "model.npz"], {"model": "model.npz"})],
     "any_rig": [(["--rig", "rig.npz"], {"rig": "rig.npz"})],
     "template": [(["--template", "template.npz"], {"template": "template.npz"})],
     "markers": [(["--set", "set.json"], {"marker_set": "set.json"})],
@@ -108,6 +109,8 @@ def called(kind: Kind, more: list[str]) -> Task[Any]:
 def arguments(kind: Kind) -> list[str]:
     """Return the inputs of a kind that have no option's name."""
     named = {"neutral"} if "capture" in kind.reads else set()
+    if "any_rig" in kind.reads:
+        named.add("model")
     return [name for name in (*kind.reads, *kind.asks) if name in TYPED and name not in named]
 
 
@@ -195,7 +198,7 @@ def test_a_model_is_an_option_where_a_rig_is_one() -> None:
     kind = replace(KINDS["fit_tracks"], reads=("any_rig", "model"))
     assert {part.parameter: part.is_needed for part in offline._parts(kind)} == {
         "rig": False,
-        "model": False,
+        "person": False,
     }
 
 

@@ -30,7 +30,7 @@ from solver.progress import silent
 from tests.service_client import Studio, served
 from worker import solve
 
-FIT = Kind("long", ("any_rig", "model", "tracks", "photos"), leaves="photo", name="fit_photo")
+FIT = KINDS["fit_photo"]
 NEUTRAL = Kind("long", ("photos", "template"), leaves="neutral", name="neutral_from_photos")
 FACTS = json.dumps(
     {"landmarks": {"33": [20, 30], "263": [70, 30], "61": [35, 60], "291": [55, 60]}}

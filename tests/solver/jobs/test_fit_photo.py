@@ -141,6 +141,24 @@ def test_plain_shapes_by_landmarks_alone(files: Path, tmp_path: Path) -> None:
     assert told["expressions"]["front"]["photos"]["front"]["landmarks_mm"] < 1.0
 
 
+def test_a_model_serves_in_the_place_of_a_rig(files: Path, tmp_path: Path) -> None:
+    MODEL.save(tmp_path / "model.npz")
+    given: dict[str, Any] = {
+        "tracks": files / "tracks.npz",
+        "captures": {"front": files / "front.jpg"},
+        "facts": {"front": files / "front.json"},
+        "options": {"model": "shapes", "shading": False},
+    }
+    with pytest.raises(InputError, match="needs a rig or a model") as error:
+        run_job("fit_photo", tmp_path, **given)
+    assert error.value.code == "job.missing"
+    run_job("fit_photo", tmp_path, model=tmp_path / "model.npz", **given)
+    rig = Rig.load(tmp_path / "rig.npz")
+    assert not rig.expressions
+    assert (rig.model.rest == MODEL.rest).all()
+    assert off(rig.systems["B"].expressions[0].skin, smile()) < 0.5 * off(NEUTRAL, smile())
+
+
 def test_a_neutral_photograph_tells_where_a_person_s_landmarks_are(
     files: Path, tmp_path: Path
 ) -> None:
@@ -152,6 +170,26 @@ def test_a_neutral_photograph_tells_where_a_person_s_landmarks_are(
         moved.append(off(found["own_still"].skin, NEUTRAL))
     assert moved[0] > 0.3
     assert moved[1] < 0.3 * moved[0]
+
+
+def test_a_photograph_of_somebody_else_is_told(files: Path, tmp_path: Path) -> None:
+    basis = builtin_template().shapes
+    assert basis is not None
+    who = np.random.default_rng(4).standard_normal(len(basis.identity))
+    stranger = smile() + np.tensordot(who, basis.identity, 1)
+    photograph(files, "stranger", stranger, 10.0)
+    rig, told = fit(files, tmp_path, "front", "stranger", model="shapes", shading=False)
+    codes = {
+        each.name: [notice.code for notice in each.notices] for each in rig.systems["B"].expressions
+    }
+    assert "photo.other_person" in codes["stranger"]
+    assert "photo.other_person" not in codes["front"]
+    assert [each["file"] for each in told["notices"]] == ["stranger"]
+    nats = {
+        name: each["photos"][name]["somebody_else_nats"]
+        for name, each in told["expressions"].items()
+    }
+    assert nats["front"] < 0.0 < nats["stranger"]
 
 
 def test_a_photograph_that_shows_no_skin_is_refused(files: Path, tmp_path: Path) -> None:

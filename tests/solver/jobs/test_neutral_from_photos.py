@@ -53,6 +53,26 @@ def test_an_estimate_is_a_neutral_that_says_what_it_is(tmp_path: Path) -> None:
     assert (out / "neutral.png").stat().st_size > 10_000
 
 
+def test_a_photograph_of_somebody_else_is_told(tmp_path: Path) -> None:
+    basis = TEMPLATE.shapes
+    assert basis is not None
+    who = np.random.default_rng(4).standard_normal(len(basis.identity))
+    stranger = NEUTRAL + np.tensordot(who, basis.identity, 1)
+    names = ("front", "left", "stranger")
+    for name, skin, yaw in zip(names, (NEUTRAL, smile(), stranger), (0.0, 20.0, 10.0), strict=True):
+        photograph(tmp_path, name, skin, yaw)
+    run_job(
+        "neutral_from_photos",
+        tmp_path,
+        captures={name: tmp_path / f"{name}.jpg" for name in names},
+        facts={name: tmp_path / f"{name}.json" for name in names},
+    )
+    told = json.loads((tmp_path / "neutral.json").read_text())
+    noticed = [each["file"] for each in told["notices"] if each["code"] == "photo.other_person"]
+    assert noticed == ["stranger"]
+    assert told["photos"]["front"]["somebody_else_nats"] < 3.0
+
+
 def test_every_rig_of_an_estimate_says_so(tmp_path: Path) -> None:
     rig = small_rig()
     replace(rig, model=replace(rig.model, size_from="photographs")).save(tmp_path / "rig.npz")

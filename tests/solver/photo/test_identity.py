@@ -76,7 +76,7 @@ def test_a_drawn_person_is_found_and_what_they_do_is_taken_out(seed: int) -> Non
 
 def test_the_model_is_the_objective_s() -> None:
     assert TEMPLATE.shapes is not None
-    shapes = _Shapes.of(TEMPLATE, TEMPLATE.shapes)
+    shapes = _Shapes.of(TEMPLATE)
     options = IdentityOptions()
     views, _ = place_views(photographs(somebody(0), 2.0), POINTS, TEMPLATE.skin, options.views)
     begun = _Point.at_rest(shapes, len(views))

@@ -12,6 +12,7 @@ def run(task: Task) -> None:
         fit_frames(task, task.inputs["film"])
         return
     work(task.captures.values(), task.progress, ["landmarks", "shading"])
-    leave_rig(task.out, task.captures, read_rig(task.inputs))
+    parent = read_rig(task.inputs) if "rig" in task.inputs else []
+    leave_rig(task.out, task.captures, parent)
     (task.out / "photo.json").write_text(json.dumps({"expressions": {}}))
     draw(task.out / "photo.png", ", ".join(task.captures))

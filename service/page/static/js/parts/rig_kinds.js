@@ -11,14 +11,14 @@ export function kindsOfFits(kinds) {
   return [...kinds.values()].filter(({ reads }) => ["rig", "captures"].every((each) => reads.includes(each)));
 }
 
-/** Return the kinds of job that fit a rig to chosen photographs. */
+/** Return the kinds of job that fit a rig, or the model without one, to chosen photographs. */
 export function kindsOfPhotos(kinds) {
-  return [...kinds.values()].filter(({ reads }) => ["rig", "photos"].every((each) => reads.includes(each)));
+  return [...kinds.values()].filter(({ reads }) => ["any_rig", "photos"].every((each) => reads.includes(each)));
 }
 
-/** Return the kinds of job that need chosen photographs and no rig. */
+/** Return the kinds of job that need chosen photographs alone. */
 export function kindsOfEstimates(kinds) {
-  return [...kinds.values()].filter(({ reads }) => reads.includes("photos") && !reads.includes("rig"));
+  return [...kinds.values()].filter(({ reads }) => reads.includes("photos") && !reads.includes("any_rig"));
 }
 
 /** Return why no job can have the chosen photographs of some captures, or not yet; null if one can. */

@@ -57,6 +57,7 @@ class SubjectView {
     this.kindsOfRigs = kindsOfRigs(kinds);
     this.kindsOfFits = kindsOfFits(kinds);
     this.kindsOfPhotos = kindsOfPhotos(kinds);
+    this.fitsOfModel = this.kindsOfPhotos.map(({ kind, title }) => button(title, () => this.fitPhotos(kind)));
     this.estimates = kindsOfEstimates(kinds).map(({ kind, title }) =>
       button(title, () => this.order(kind, { captures: this.chosenOf("photo") })),
     );
@@ -103,7 +104,7 @@ class SubjectView {
         h("button", { type: "button", class: "danger", onclick: () => this.delete() }, "Delete subject"),
       ),
       panel("scans", "Scans", this.captureTable, this.noScans, this.next),
-      panel("model", "Model", h("div", { class: "row" }, this.model, this.estimates, this.build, this.tracks, this.fit)),
+      panel("model", "Model", h("div", { class: "row" }, this.model, this.estimates, this.build, this.tracks, this.fit, this.fitsOfModel)),
       panel("rigs", "Rigs", this.rigTable, this.noRigs),
     ];
   }
@@ -135,7 +136,7 @@ class SubjectView {
     this.captureTable.hidden = !captures.length;
     this.noScans.hidden = captures.length > 0;
     this.rigTable.hidden = !rigs.length;
-    this.noRigs.hidden = rigs.length > 0;
+    for (const each of [this.noRigs, ...this.fitsOfModel]) each.hidden = rigs.length > 0;
     this.showModel(models.items[0]);
     this.mark();
     await this.showNext(proposals.items[0]);
@@ -172,7 +173,7 @@ class SubjectView {
     const photos = [[...this.captures.values()], this.chosenOf("photo")];
     for (const estimate of this.estimates) refuse(estimate, whyNoPhotos(...photos));
     const whyNoFit = whyNoPhotos(...photos, this.hasTracks ? null : "Build tracks first");
-    for (const fit of this.rigBody.querySelectorAll("button[data-photos]")) refuse(fit, whyNoFit);
+    for (const fit of [...this.fitsOfModel, ...this.rigBody.querySelectorAll("button[data-photos]")]) refuse(fit, whyNoFit);
   }
 
   /** Return the ids of the chosen captures of some roles. */
@@ -334,7 +335,7 @@ class SubjectView {
     await this.order(kind, { rig_id: this.rigs[0].id, captures: [...captures, ...tables], ...more });
   }
 
-  /** Fit chosen photographs with a rig; so many are a film, which the options say. */
+  /** Fit chosen photographs with a rig, else with the model; so many are a film, which the options say. */
   async fitPhotos(kind, rigId) {
     const captures = this.chosenOf("photo");
     const options = captures.length > MOST_PHOTOS ? { sequence: true } : {};
