@@ -2,7 +2,7 @@
 
 MODEL is MediaPipe's ``face_landmarker*.task``; MediaPipe is where `scripts/mediapipe` puts it, or
 installed. Writes what `solver/photo/other_person.py` judges photographs of the built-in template
-by, and prints what comes of people who were left out (a quarter of an hour).
+by, and prints what comes of people who were left out (half an hour).
 """
 
 from __future__ import annotations
