@@ -93,8 +93,8 @@ class GeometryOptions:
         return replace(way, loosened=loosened, rounds=math.ceil(share * way.rounds))
 
 
-# of fits that begin with a trained S: it is near, and what scans do not show stays as it is
-TRAINED = GeometryOptions(rounds=4, w_s=(1e-4, 1e-4), first_iterations=8)
+# of fits that begin with a trained S, which is near
+TRAINED = GeometryOptions(rounds=4, first_iterations=8)
 
 
 def usual_options(
