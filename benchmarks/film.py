@@ -240,7 +240,7 @@ def _film(follow: _Follower, system: str, file: Path, most: int) -> Figures:
         marks = find_marks(footage, numbers, _landmarker).landmarks
     except InputError as error:
         return {"frames": len(numbers), "no_face": len(numbers), "refused": error.code}
-    names = [name for name in follow.points.names if name.isdigit()]
+    names = follow.points.detected().names
     hidden = set(names[::HELD_OUT])
 
     def shown(number: int) -> Photo:

@@ -160,7 +160,7 @@ class _Played:
         if source == "points":
             return [head(self.truth.skin(row)).astype("<f4") for row, head in moved]
         if source == "landmarks":
-            if not any(name.isdecimal() for name in self._points.names):
+            if not self._points.detected().names:
                 return []
             model = self.rig.model
             film = FilmedLandmarks(self._points, model.skin.vertices[model.face].mean(axis=0))

@@ -30,7 +30,7 @@ class FilmedLandmarks:
     def __init__(
         self, points: SkinPoints, middle: Floats, options: FilmOptions = FilmOptions()
     ) -> None:
-        self._points = points.select([name for name in points.names if name.isdecimal()])
+        self._points = points.detected()
         self._rows = [int(name) for name in self._points.names]
         self._options = options
         self._rng = np.random.default_rng(3)

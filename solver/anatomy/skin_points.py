@@ -48,6 +48,10 @@ class SkinPoints(SkinSamples):
         """Return whether there is a point of this name."""
         return name in self._rows
 
+    def detected(self) -> SkinPoints:
+        """Return the points that a detector finds: those named by its numbers."""
+        return self.select([name for name in self.names if name.isdecimal()])
+
     def select(self, names: list[str]) -> SkinPoints:
         """Return those of the points that have these names, in their order."""
         rows = [self._rows[name] for name in names]

@@ -69,7 +69,8 @@ class LiveLandmarks(PlaceSource):
         points: SkinPoints,
         options: LandmarkOptions = LandmarkOptions(),
     ) -> None:
-        found = points.select([name for name in points.names if _is_landmark(name)])
+        found = points.detected()
+        found = found.select([name for name in found.names if int(name) < COUNT])
         if len(found.names) < options.least:
             message = (
                 f"the template has {len(found.names)} of a detector's landmarks, of which "
@@ -117,10 +118,6 @@ class LiveLandmarks(PlaceSource):
     def resume(self, values: Floats, head: Similarity) -> None:
         super().resume(values, head)
         self.perspective.begin()
-
-
-def _is_landmark(name: str) -> bool:
-    return name.isdecimal() and int(name) < COUNT
 
 
 def _three(each: list[Number]) -> tuple[Number, Number, Number]:

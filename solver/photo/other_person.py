@@ -286,8 +286,7 @@ def person_shift(
 
     Raises :class:`InputError` as :func:`~solver.photo.identity.see_person`.
     """
-    detected = points.select([name for name in points.names if name.isdigit()])
-    seen = see_person(template, neutral, photo, detected, options.views)
+    seen = see_person(template, neutral, photo, points.detected(), options.views)
     term = seen.view.terms[0]
     found = term.linearise(seen.skin, seen.camera)
     if len(found.residual) < 2 * options.least_points:
