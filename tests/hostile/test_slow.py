@@ -130,15 +130,16 @@ def test_who_does_not_read_is_cut_off_and_holds_little() -> None:
 
 def test_who_reads_slowly_gets_all_of_it() -> None:
     app = _Downloads()
+    patience = 2.0  # a busy machine may hold this client up for a second by itself
     received = 0
     started = time.monotonic()
-    with serving(app, PATIENCE) as port, connected(port) as connection:
+    with serving(app, patience) as port, connected(port) as connection:
         connection.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n")
         while content := connection.recv(4 * 1024**2):
             received += len(content)
-            time.sleep(PATIENCE / 4)
+            time.sleep(patience / 8)
     assert received > BLOCKS * BLOCK
-    assert time.monotonic() - started > 4 * PATIENCE
+    assert time.monotonic() - started > 1.5 * patience
 
 
 @pytest.mark.parametrize("tls", [False, True])
