@@ -33,17 +33,29 @@ class ShapesAtRest:
         return ShapedPose(np.tile(IDENTITY, (self.muscles, 1)), np.zeros(5))
 
 
+@dataclass(frozen=True)
+class MixtureFitOptions:
+    """When a mixture counts as fitted."""
+
+    refit_above_mm: float = np.inf  # mean distance above which it is linearised anew and fitted on
+    gained: float = 0.02  # part of that distance below which nothing more is to be gained
+    rounds: int = 4  # of a frame's steps at most
+
+
 class MixtureTracker:
     """Fits mixtures of shapes, ``motions`` (e, k, 3) of the face's points in mm, one after another.
 
-    There is no contact in them: a simulation adds it. One that ends further off than
-    ``refit_above_mm``, as where muscles are at their limits, is fitted again, by sensitivities of
-    where it has come to: those of other mixtures say too little there of what is left to gain.
+    There is no contact in them: a simulation adds it. One mixture is further from the next than
+    frames are, so that a frame's few steps are taken again until they gain no more. Where that ends
+    far off, as where muscles are at their limits, sensitivities of other mixtures say too little of
+    what is left to gain: those of where it has come to go on from there.
     """
 
-    def __init__(self, face: Face, motions: Floats, refit_above_mm: float = np.inf) -> None:
+    def __init__(
+        self, face: Face, motions: Floats, options: MixtureFitOptions = MixtureFitOptions()
+    ) -> None:
         self.face = face
-        self._refit_above_mm = refit_above_mm
+        self._options = options
         self._motions = motions
         self._neutral = face.model.skin.vertices[face.model.face]
         self._everywhere = np.ones(len(face.model.face))
@@ -58,12 +70,28 @@ class MixtureTracker:
             with suppress(SolveError):
                 self.tracker.go_to(self.face.pose_of(begin.a, begin.b))
         points = self._neutral + np.tensordot(weights, self._motions, 1)
-        found = self._step(points)
-        if found is not None and found.off_mm > self._refit_above_mm:
+        found = self._settle(points)
+        if found is not None and found.off_mm > self._options.refit_above_mm:
             self.tracker.solver.expire()
-            again = self._step(points)
+            again = self._settle(points)
             if again is not None and again.off_mm < found.off_mm:
                 return again
+        return found
+
+    def _settle(self, points: Floats) -> MixtureFit | None:
+        """Fit points (k, 3) until a frame's steps gain no more; None if they cannot be fitted."""
+        given = self._options
+        found = self._step(points)
+        for _ in range(given.rounds - 1):
+            if found is None:
+                break
+            again = self._step(points)
+            if again is None or again.off_mm >= found.off_mm:
+                break
+            gained = found.off_mm - again.off_mm
+            found = again
+            if gained < given.gained * found.off_mm:
+                break
         return found
 
     def _step(self, points: Floats) -> MixtureFit | None:

@@ -25,7 +25,7 @@ class WalkOptions:
     stops: int = 120  # of a walk
     in_steps: int = 12  # walks; the others jump ...
     choices: int = 4  # ... to one of so many mixtures of a kind, by its leverage
-    refit_above_mm: float = 0.2  # mean distance of a fit to its mixture, above which it goes on
+    refit_above_mm: float = 0.3  # mean distance of a fit to its mixture, above which it goes on
     # parts of the mixtures that are of action units, alike on both sides, and of many shapes
     units: float = 0.5
     dense: float = 0.2

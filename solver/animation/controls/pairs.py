@@ -20,7 +20,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.animation.controls.exact import MixtureTracker
+from solver.animation.controls.exact import MixtureFitOptions, MixtureTracker
 from solver.animation.controls.maps import Leverage, PolynomialMap, ShapeSizes
 from solver.animation.controls.metric import changes_of, pose_of
 from solver.animation.controls.mixtures import Mixtures, WalkOptions
@@ -227,7 +227,8 @@ class Walks:
         Raises :class:`SolveError` (``controls.few``) if none can be.
         """
         given = self.mixtures.options
-        tracker = MixtureTracker(self.face, self.motions, given.refit_above_mm)
+        fit = MixtureFitOptions(given.refit_above_mm)
+        tracker = MixtureTracker(self.face, self.motions, fit)
         rows = list[tuple[Floats, Floats, Floats, float]]()
         failed = 0
         guide = self.guide if self.jumps(number) else None

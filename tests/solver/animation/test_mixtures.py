@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from solver.animation.controls.exact import MixtureTracker
+from solver.animation.controls.exact import MixtureFitOptions, MixtureTracker
 from solver.fitting.face import Face, Pose
 from solver.surface import Floats
 from tests.solver.block import block_model
@@ -29,7 +29,9 @@ def motions(face: Face) -> Floats:
 def test_a_mixture_that_ends_far_off_is_fitted_again_where_it_has_come_to(
     face: Face, motions: Floats
 ) -> None:
-    once, again, content = (MixtureTracker(face, motions, mm) for mm in (np.inf, 0.0, 1.0))
+    once, again, content = (
+        MixtureTracker(face, motions, MixtureFitOptions(mm, rounds=1)) for mm in (np.inf, 0.0, 1.0)
+    )
     off = []
     for weights in (np.array([1.0, 0.0]), np.array([0.0, 1.0])):
         fits = [each.fit(weights) for each in (once, again, content)]
@@ -38,6 +40,18 @@ def test_a_mixture_that_ends_far_off_is_fitted_again_where_it_has_come_to(
     assert off[0] > 0.01
     assert off[1] < 0.1 * off[0]
     assert off[2] == off[0]
+
+
+def test_a_mixture_is_fitted_until_a_frames_steps_gain_no_more(face: Face, motions: Floats) -> None:
+    frame, settled = (
+        MixtureTracker(face, motions, MixtureFitOptions(rounds=rounds)) for rounds in (1, 8)
+    )
+    off = []
+    for weights in (np.array([1.0, 0.0]), np.array([0.0, 1.0])):
+        fits = [each.fit(weights) for each in (frame, settled, settled)]
+        off = [np.inf if fit is None else fit.off_mm for fit in fits]
+    assert off[1] < 0.9 * off[0]
+    assert off[2] > 0.95 * off[1]
 
 
 def test_sensitivities_that_expired_are_made_anew_for_one_frame(
