@@ -324,10 +324,10 @@ def _time(path: Path, line: int, row: list[str], column: int, before: Sequence[f
         _refuse(path, line, "timecode", reason)
     if not 0.0 <= time < DAY:  # NaN is neither
         _refuse(path, line, "timecode", f"'{quote(text)}' is not a time of day")
-    if before and time <= before[-1]:
-        if before[-1] - time < DAY / 2:
-            _refuse(path, line, "time_order", f"{quote(text)} is not later than the frame before")
+    if before and time <= before[-1] - DAY / 2:
         time += DAY
+    if before and time <= before[-1]:
+        _refuse(path, line, "time_order", f"{quote(text)} is not later than the frame before")
     return time
 
 

@@ -89,6 +89,7 @@ def test_time_goes_on_after_midnight(tmp_path: Path) -> None:
     [
         (["1:0:0:0"], [name for name in HEADER if name != "JawOpen"], "0", "columns", 1),
         (["1:0:0:0", "1:0:0:2", "1:0:0:1"], HEADER, "0", "time_order", 4),
+        (["23:59:59:58", "0:0:0:1", "0:0:0:1"], HEADER, "0", "time_order", 4),
         (["1:0:0:0", "later"], HEADER, "0", "timecode", 3),
         (["1:0:0:0"], HEADER, "nan", "value", 2),
         (["1:0:0:0"], HEADER, "50", "value", 2),
