@@ -30,7 +30,7 @@ from solver.kinds.live_messages import (
 )
 from solver.kinds.live_session import PART, REPORT, VIEW_FILE
 from solver.kinds.live_session import LiveSession as Options
-from solver.live.checks import SAMPLES_FILE
+from solver.live.samples import FILE as SAMPLES_FILE
 from solver.live.sent import FILE as TAKES_FILE
 from solver.live.sent import gather_takes
 from solver.live.session import LiveOptions, LiveSession
@@ -312,7 +312,7 @@ class _Loop:
                 self._add_to_take(session, self._waiting.popleft())
             self._stop(session)
             self._tell({"type": "ended", "reason": reason})
-        for left in out.glob(f"{SAMPLES_FILE}*"):  # nobody goes on from here
+        for left in out.glob(f".{SAMPLES_FILE}.*"):  # of full solves that were ended amid writing
             left.unlink(missing_ok=True)
         figures = {} if session is None else session.figures()
         seconds = round(time.monotonic() - self._begin, 1)
@@ -320,7 +320,7 @@ class _Loop:
         self._report({**report, "faults": self._faults.counts, "takes": [*self._takes.values()]})
         gather_takes(out, None if session is None else session.modes)
         self._task.progress(Step("done", 1.0))
-        made = [out / name for name in (FILE, VIEW_FILE, BASIS_FILE, TAKES_FILE)]
+        made = [out / name for name in (FILE, VIEW_FILE, BASIS_FILE, TAKES_FILE, SAMPLES_FILE)]
         takes = [out / file for file in self._takes]
         return [out / REPORT, *(path for path in made if path.is_file()), *takes]
 

@@ -111,6 +111,9 @@ INPUTS: Mapping[str, Input] = {
         (_option("fibres", "fibre_muscles.npz of fit-fibres", "fibre_muscles"),)
     ),
     "live_skin": Input((_option("skin", "live_skin.npz of a live session", "live_skin"),)),
+    "live_samples": Input(
+        (_option("samples", "live_samples.npz of a live session", "live_samples"),)
+    ),
     "live_takes": Input(
         (_option("live", "live_takes.npz of the live session of the take", "live_takes"),)
     ),
@@ -169,6 +172,7 @@ FILES: Mapping[str, LeftFile] = {
     "controls.npz": LeftFile("controls", "controls", of_a_rig=True),
     "live_skin.npz": LeftFile("live_skin", "live_skin", of_a_rig=True, is_kept=True),
     "live_takes.npz": LeftFile("live_takes", "live_takes"),
+    "live_samples.npz": LeftFile("live_samples", "live_samples", of_a_rig=True, is_kept=True),
     "fibre_muscles.npz": LeftFile("fibre_muscles", "fibre_muscles", of_a_rig=True),
     "texture.png": LeftFile("texture", "texture", of_a_neutral=True),
     "wrinkle_normals.png": LeftFile("wrinkles", "asset"),

@@ -62,9 +62,12 @@ class LiveSession(JobOptions):
 
 KIND = Kind(
     queue="live",
-    reads=("rig", "marker_set", "template", "expression_basis", "controls", "live_skin"),
+    reads=(
+        *("rig", "marker_set", "template", "expression_basis", "controls", "live_skin"),
+        "live_samples",
+    ),
     leaves="live",
     result="live.json",
-    hands_on=("live_skin.npz", "expression_basis.npz", "live_takes.npz"),
+    hands_on=("live_skin.npz", "expression_basis.npz", "live_takes.npz", "live_samples.npz"),
     options=LiveSession,
 )

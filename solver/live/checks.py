@@ -25,7 +25,7 @@ import structlog
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from solver.errors import SolveError
+from solver.errors import InputError, SolveError
 from solver.fitting import prior
 from solver.fitting.activation import unseen_regulariser
 from solver.fitting.markers.observation import MarkerOptions, Markers, SeenMarkers
@@ -35,13 +35,12 @@ from solver.fitting.tracking.dense import DensePoints, HeadAndFace, SeenPoints, 
 from solver.kinds.live_session import Source
 from solver.live.mending import Mend, Mender
 from solver.live.rigged import LiveFace
+from solver.live.samples import FILE, SolvedFrames, read_samples, sort_of, write_samples
 from solver.scans.markers.places.marker_set import MarkerSet
 from solver.surface import Floats
 
 log = structlog.get_logger(__name__)
 
-# Frames that were solved, for an attempt that goes on where a worker died
-SAMPLES_FILE = "live_samples.npz"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -192,7 +191,7 @@ def open_solver(
 class Checks:
     """Solves samples in full, one after another, and mends the skin by them.
 
-    They are kept in a file, with which a session that is resumed begins.
+    They are kept in a file, with which a session that is resumed begins, and later ones of the rig.
     """
 
     def __init__(self, face: LiveFace, solver: FullSolver, order: CheckOrder) -> None:
@@ -200,15 +199,15 @@ class Checks:
         self._solver = solver
         self._mender = Mender()
         self._shown = face.rig.model.face
-        self._file = order.out / SAMPLES_FILE
+        self._file = order.out / FILE
         self._keeping_s = order.options.keeping_s
         self._kept = time.monotonic()
-        if order.resume and self._file.is_file():
-            features = len(face.live.names) + order.clues
-            try:
-                self._mender.load(self._file, features, len(face.live.basis))
-            except (ValueError, LookupError, OSError) as error:
-                log.warning("samples.unreadable", file=self._file.name, error=str(error))
+        self._sort = sort_of(face.live, order.source, order.files.get("marker_set"))
+        self._others = _left_samples(order)
+        known = self._others.pop(self._sort, None)
+        features = len(face.live.names) + order.clues
+        if known is not None and known.fits(features, len(face.live.basis)):
+            self._mender.begin(known)
 
     def known(self) -> Mend | None:
         """Return what is known of the skin before any frame is solved; None: nothing."""
@@ -225,9 +224,29 @@ class Checks:
         error = float(np.linalg.norm(off, axis=1).mean())
         self._mender.add(sample.values, sample.clues, self._face.project(skin) - sample.plain)
         if time.monotonic() - self._kept > self._keeping_s:
-            self._mender.save(self._file)
-            self._kept = time.monotonic()
+            self.keep()
         return Checked(sample.number, error, spent, self._mender.mend())
+
+    def keep(self) -> None:
+        """Write what is known, for sessions after this one."""
+        frames = self._mender.frames
+        own = {} if frames is None else {self._sort: frames}
+        if by_sort := {**own, **self._others}:
+            write_samples(self._file, by_sort)
+        self._kept = time.monotonic()
+
+
+def _left_samples(order: CheckOrder) -> dict[str, SolvedFrames]:
+    """Return what an attempt before has solved, else sessions before."""
+    own = order.out / FILE
+    found = own if order.resume and own.is_file() else order.files.get("live_samples")
+    if found is None:
+        return {}
+    try:
+        return read_samples(found)
+    except InputError as error:  # whose damage costs no session
+        log.warning("samples.unreadable", file=found.name, error=error.message)
+        return {}
 
 
 class CheckProcess:
@@ -323,3 +342,4 @@ def _work(order: CheckOrder, receive: Connection, send: Connection) -> None:
         send.send(checks.known())
         while (sample := receive.recv()) is not None:
             send.send(checks.check(sample))
+        checks.keep()

@@ -10,14 +10,13 @@ mean of a Gaussian process (Rasmussen and Williams 2006, chapter 2). The modes s
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from solver.storage import read_arrays
+from solver.live.samples import SolvedFrames
 from solver.surface import Floats
 
 
@@ -75,24 +74,15 @@ class Mender:
             oldest = int(min(np.unravel_index(np.argmin(apart), apart.shape)))
             del self._at[oldest], self._off[oldest]
 
-    def save(self, path: Path) -> None:
-        """Keep the frames for a session that goes on for this one."""
-        part = path.with_name(f"{path.name}.part")
-        with part.open("wb") as stream:
-            np.savez(stream, at=np.array(self._at), off=np.array(self._off))
-        part.replace(path)
+    @property
+    def frames(self) -> SolvedFrames | None:
+        """The frames, for a session that goes on for this one; None without any."""
+        return SolvedFrames(np.array(self._at), np.array(self._off)) if self._at else None
 
-    def load(self, path: Path, features: int, amounts: int) -> None:
-        """Go on with the frames that were kept, if they are of as many numbers.
-
-        Raises :class:`ValueError` for another file.
-        """
-        arrays = read_arrays(path, names=("at", "off"))
-        at = arrays["at"]
-        off = arrays["off"]
-        if at.shape[1:] == (features,) and off.shape == (len(at), amounts):
-            self._at = [*at]
-            self._off = [*off]
+    def begin(self, frames: SolvedFrames) -> None:
+        """Go on with frames that another session has solved."""
+        self._at = [*frames.at]
+        self._off = [*frames.off]
 
     def mend(self) -> Mend | None:
         """Return the mend of all frames; None without any."""

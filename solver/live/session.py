@@ -27,6 +27,7 @@ from solver.kinds.live_session import VIEW_FILE, Source
 from solver.live.checks import Checked, CheckOptions, CheckOrder, CheckProcess, Sample
 from solver.live.mending import Mend
 from solver.live.rigged import LiveFace
+from solver.live.samples import read_samples
 from solver.live.sent import SentModes
 from solver.live.skin import FILE
 from solver.live.smoothing import OneEuro, Smoother, SmoothScales
@@ -181,6 +182,8 @@ class LiveSession:
         markers = None
         if options.source == "markers":
             markers = MarkerSet.load(files["marker_set"], face.rig.model)
+        if "live_samples" in files:  # what is wrong with it is told now, not beside the session
+            read_samples(files["live_samples"])
         source = face.source(options.source, markers)
         write_view(face, out / VIEW_FILE)
         digest = hashlib.sha256((out / FILE).read_bytes()).hexdigest()

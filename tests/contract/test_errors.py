@@ -38,7 +38,7 @@ MADE_OF_PARTS = (
     ),
     *("capture.format", "blendshapes.format", "fibres.format", "markers.format", "tracks.format"),
     *("controls.format", "control_pairs.format", "live_skin.format", "live_skin.unreadable"),
-    "live_takes.format",
+    *("live_samples.format", "live_takes.format"),
 )
 """Codes that the source puts together, or passes on."""
 STATUS = {"CHECKSUM_MISMATCH": "460"}

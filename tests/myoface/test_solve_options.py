@@ -43,6 +43,7 @@ ASKED: Mapping[str, list[tuple[list[str], dict[str, str]]]] = {
     "controls": [(["--controls", "controls.npz"], {"controls": "controls.npz"})],
     "fibre_muscles": [(["--fibres", "fibres.npz"], {"fibre_muscles": "fibres.npz"})],
     "live_skin": [(["--skin", "skin.npz"], {"live_skin": "skin.npz"})],
+    "live_samples": [(["--samples", "samples.npz"], {"live_samples": "samples.npz"})],
     "live_takes": [(["--live", "takes.npz"], {"live_takes": "takes.npz"})],
     "marker_set": [(["--set", "set.json"], {"marker_set": "set.json"})],
     "texture": [(["--texture", "texture.png"], {"texture": "texture.png"})],
