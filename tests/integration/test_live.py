@@ -113,7 +113,7 @@ def test_a_face_follows_and_the_take_is_left(
     assert job["state"] == "succeeded"
     assert job["result"]["summary"]["takes"] == ["walk"]
     assert {each["name"] for each in job["result"]["artifacts"]} == {
-        *("live.json", "live_skin.npz", "walk.csv")
+        *("live.json", "live_skin.npz", "live_samples.npz", "walk.csv")
     }
     with pytest.raises(ApiError) as over:
         client.live_ticket(face.id)
@@ -127,7 +127,9 @@ def test_the_next_session_reads_what_the_last_one_left(
     for _ in range(2):
         with client.live(rig_id) as face:
             pass
-    assert studio.job(face.id)["result"]["summary"]["inputs"] == ["live_skin", "rig"]
+    assert studio.job(face.id)["result"]["summary"]["inputs"] == [
+        *("live_samples", "live_skin", "rig")
+    ]
 
 
 def test_the_same_is_awaited(live: tuple[Stack, Studio, str]) -> None:

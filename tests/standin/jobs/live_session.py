@@ -18,7 +18,8 @@ def run(task: Task) -> None:
         channel.send(Message(json.dumps(words).encode(), True))
 
     say(type="preparing", phase="skin", fraction=0.5)
-    (task.out / "live_skin.npz").write_text("skin")
+    for name in ("live_skin.npz", "live_samples.npz"):
+        (task.out / name).write_text("of the rig")
     layout = [{"name": "values", "shape": [3]}]
     say(type="ready", source=task.options.source, expects={"rows": 3, "width": 1}, layout=layout)
     report = task.out / REPORT
