@@ -202,7 +202,8 @@ class Checks:
         self._file = order.out / FILE
         self._keeping_s = order.options.keeping_s
         self._kept = time.monotonic()
-        self._sort = sort_of(face.live, order.source, order.files.get("marker_set"))
+        markers = order.files.get("marker_set") if order.source == "markers" else None
+        self._sort = sort_of(face.live, order.source, markers)
         self._others = _left_samples(order)
         known = self._others.pop(self._sort, None)
         features = len(face.live.names) + order.clues
