@@ -18,7 +18,7 @@ class FitGeometry(ExpressionFitOptions):
         default=None,
         description="at most so many rounds of Gauss-Newton on S and all poses: by default 4 where "
         "the template is trained, else 12; admissible controls take up to 1.7 times as many more, "
-        "to close their bounds",
+        "with a trained template up to three times, to close their bounds",
     )
     symmetry: float = Field(
         default=0.0,
