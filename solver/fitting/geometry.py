@@ -94,7 +94,7 @@ class GeometryOptions:
 
 
 # of fits that begin with a trained S, which is near; some people still gain by a tenth round within
-# their limits, most end before
+# their limits, a third of the 30 as their rounds are of the usual ones, most end before
 TRAINED = GeometryOptions(
     rounds=4, first_iterations=8, tightening=TighteningOptions(rounds=30, tolerance=1e-2)
 )

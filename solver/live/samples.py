@@ -7,7 +7,6 @@ the same source and the same markers: a file has those of each such sort apart.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ import numpy as np
 from solver.errors import InputError
 from solver.kinds import FILES
 from solver.live.skin import LiveSkin
-from solver.storage import Archive
+from solver.storage import Archive, hash_file
 from solver.surface import Floats
 
 FILE = "live_samples.npz"
@@ -42,12 +41,9 @@ class SolvedFrames:
 
 def sort_of(skin: LiveSkin, source: str, marker_set: Path | None) -> str:
     """Return what tells a session's sort: a hash of its skin, source and markers."""
-    digest = hashlib.sha256(source.encode())
-    for array in (skin.sliders.directions, skin.skin.basis, skin.spare):
-        digest.update(np.ascontiguousarray(array).data)
-    if marker_set is not None:
-        digest.update(marker_set.read_bytes())
-    return digest.hexdigest()
+    markers = None if marker_set is None else hash_file(marker_set)
+    modes = {"directions": skin.sliders.directions, "basis": skin.skin.basis, "spare": skin.spare}
+    return Archive({"source": source, "markers": markers}, modes).sha256
 
 
 def write_samples(path: Path, by_sort: Mapping[str, SolvedFrames]) -> None:

@@ -82,15 +82,15 @@ class MixtureTracker:
         """Fit points (k, 3) until a frame's steps gain no more; None if they cannot be fitted."""
         given = self._options
         found = self._step(points)
+        if found is None:
+            return None
         for _ in range(given.rounds - 1):
-            if found is None:
-                break
+            before = found
             again = self._step(points)
-            if again is None or again.off_mm >= found.off_mm:
+            if again is None:
                 break
-            gained = found.off_mm - again.off_mm
-            found = again
-            if gained < given.gained * found.off_mm:
+            found = min(before, again, key=lambda fit: fit.off_mm)
+            if (1.0 + given.gained) * found.off_mm >= before.off_mm:
                 break
         return found
 
