@@ -240,6 +240,16 @@ def hash_files(files: Mapping[str, Path]) -> dict[str, str]:
     return {name: hash_file(path) for name, path in files.items()}
 
 
+def copy_whole(source: Path, path: Path) -> None:
+    """Copy a file to where no reader sees half of it."""
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        shutil.copyfile(source, unfinished)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
 def write_json(path: Path, values: Any) -> None:
     """Write JSON values for people as well as programs: indented, all of them finite."""
     path.write_text(json.dumps(values, indent=2, allow_nan=False) + "\n", encoding="utf-8")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from itertools import count
 from typing import Any, NamedTuple, TypeVar
 
@@ -147,7 +147,8 @@ class Supervisor:
             log.warning("attempt.not_removed", error=str(error))
 
     def _attempt(self, claim: Claim, folder: AttemptFolder) -> None:
-        folder.stage(self._store)
+        with self._leased(claim):
+            folder.stage(self._store)
         limit = self._limit(claim, folder)
         live = KINDS[claim.kind].queue == LIVE
         process = SolverProcess(
@@ -202,11 +203,8 @@ class Supervisor:
         self, claim: Claim, process: SolverProcess, folder: AttemptFolder, end: float
     ) -> int | None:
         """Wait for the solver's exit code, with a beat now and then; None: not before ``end``."""
-        beat = self._settings.beat
-        if self._bridge is not None:
-            beat = min(beat, self._settings.live_silence / BEATS_OF_SILENCE)
         for number in count(1):
-            if (code := process.wait(beat)) is not None:
+            if (code := process.wait(self._beat_seconds(claim))) is not None:
                 break
             if self._stopping.is_set():
                 raise ShutdownError
@@ -216,6 +214,31 @@ class Supervisor:
             if number % COUNT_EVERY == 0:
                 _check_written(claim, folder)
         return code
+
+    def _beat_seconds(self, claim: Claim) -> float:
+        """Return the seconds between two beats."""
+        beat = self._settings.beat
+        if KINDS[claim.kind].queue == LIVE:
+            return min(beat, self._settings.live_silence / BEATS_OF_SILENCE)
+        return beat
+
+    @contextmanager
+    def _leased(self, claim: Claim) -> Iterator[None]:
+        """Renew the lease meanwhile: files may be moved for longer than it lasts."""
+        done = threading.Event()
+
+        def renew() -> None:
+            while not done.wait(self._beat_seconds(claim)):
+                with suppress(SQLAlchemyError), self._store.write() as session:
+                    table.beat(session, claim.job_id, claim.attempt, self._settings.lease)
+
+        thread = threading.Thread(target=renew, name="lease", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
 
     def _beat(self, claim: Claim, process: SolverProcess, folder: AttemptFolder) -> None:
         """Renew the lease, pass on what the solver said and left, and see whether to stop.
@@ -230,8 +253,9 @@ class Supervisor:
             folder.keep(self._bridge.left())
         try:
             self._check_size(claim, folder)
-            news.chunks.extend(folder.new_frames(self._store.files))
-            news.kept.update(folder.new_kept(self._store.files))
+            with self._leased(claim):
+                news.chunks.extend(folder.new_frames(self._store.files))
+                news.kept.update(folder.new_kept(self._store.files))
             with self._store.write() as session:
                 state = table.beat(
                     session,
@@ -302,7 +326,8 @@ class Supervisor:
     def _succeed(
         self, claim: Claim, folder: AttemptFolder, result: dict[str, Any], new: int
     ) -> None:
-        artifacts = folder.store(self._store.files, result["formats"])
+        with self._leased(claim):
+            artifacts = folder.store(self._store.files, result["formats"])
         rig = folder.rig(result)
 
         def change(session: Session) -> bool:

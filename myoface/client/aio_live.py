@@ -222,7 +222,7 @@ class AsyncLiveFace:
             face = await self.receive(self._options.live_frame_s)
             if face is None:
                 return
-            if face.number > seen:
+            if seen < face.number <= self._number:  # not one of the station's before
                 seen = face.number
                 yield face
 

@@ -220,7 +220,7 @@ class LiveFace:
             face = self.receive(self._options.live_frame_s)
             if face is None:
                 return
-            if face.number > seen:
+            if seen < face.number <= self._number:  # not one of the station's before
                 seen = face.number
                 yield face
 

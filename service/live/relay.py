@@ -168,7 +168,7 @@ class RelayedClient:
             words = f"{self._lost_words} messages came too fast and are lost: send them again"
             fault = {"type": "fault", "code": TOO_FAST, "message": words, "number": None}
             self._lost_words = 0
-            await self._say(Message(json.dumps(fault).encode(), True))
+            await self._say(Message.of(fault))
 
     def _newest(self, answers: Sequence[Answered]) -> list[Message]:
         """Return what is sent of answers that wait: all words, and the last frames."""

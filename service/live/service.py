@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -25,12 +24,15 @@ from service.rigs import repository as rigs
 from service.store.database import Store
 from service.store.models import Job
 from solver.kinds.live_messages import Message
+from solver.kinds.live_session import ENDING
 
 KIND = "live_session"
 # Attempts that may be lost: a session is long, and its worker soon given up
 LEAST_ATTEMPTS = 10
-# Seconds for which a session that was told to end may store its takes, and pauses meanwhile
+# Seconds within which a session that was told to end has to say that it does, for which it is
+# waited for while it stores its takes, and pauses meanwhile
 ENDS_WITHIN = 10.0
+STORES_WITHIN = 25.0
 PAUSE = 0.2
 # In the place of a connection's name
 SERVICE = "service"
@@ -81,20 +83,21 @@ def require_open(session: Session, session_id: str) -> Job:
 
 
 async def end(store: Store, broker: LiveBroker, session_id: str) -> bool:
-    """End a session: it stores its takes, and is canceled if it does not within a while.
+    """End a session: it stores its takes, and is canceled if it does not begin to within a while.
 
     Returns whether it was not over before.
     """
 
-    def state() -> State:
+    def look() -> tuple[State, bool]:
         with store.read() as session:
-            return get(session, session_id).state
+            job = get(session, session_id)
+            return job.state, (job.progress or {}).get("phase") == ENDING
 
     def cancel() -> None:
         with store.write() as session:
             table.cancel(session, session_id, "api", "the session was ended")
 
-    found = await to_thread.run_sync(state)
+    found, is_ending = await to_thread.run_sync(look)
     if found in FINAL:
         return False
     is_told = False
@@ -102,11 +105,13 @@ async def end(store: Store, broker: LiveBroker, session_id: str) -> bool:
         with suppress(*AWAY):
             await broker.tell(Names.of(session_id), _own(END))
             is_told = True
-    until = time.monotonic() + ENDS_WITHIN
-    while is_told and found is State.RUNNING and time.monotonic() < until:
+    begin = time.monotonic()
+    while is_told and found in (State.RUNNING, State.QUEUED):
+        if time.monotonic() - begin > (STORES_WITHIN if is_ending else ENDS_WITHIN):
+            break
         await sleep(PAUSE)
-        found = await to_thread.run_sync(state)
-    if found not in FINAL:
+        found, is_ending = await to_thread.run_sync(look)
+    if found not in FINAL and not is_ending:
         await to_thread.run_sync(cancel)
     return True
 
@@ -120,7 +125,7 @@ async def tell(store: Store, broker: LiveBroker, session_id: str, wish: Mapping[
 
     await to_thread.run_sync(require)
     try:
-        await broker.tell(Names.of(session_id), _own(Message(json.dumps(wish).encode(), True)))
+        await broker.tell(Names.of(session_id), _own(Message.of(wish)))
     except AWAY as error:
         raise unreachable() from error
 

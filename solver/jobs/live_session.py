@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.errors import InputError
+from solver.errors import InputError, SolveError
 from solver.fitting.expression_basis import FILE as BASIS_FILE
 from solver.jobs import Task
 from solver.kinds.live_channel import Channel, ChannelClosedError
@@ -28,14 +28,22 @@ from solver.kinds.live_messages import (
     Message,
     MessageError,
 )
-from solver.kinds.live_session import PART, REPORT, VIEW_FILE
+from solver.kinds.live_session import ENDING, PART, REPORT, VIEW_FILE
 from solver.kinds.live_session import LiveSession as Options
 from solver.live.samples import FILE as SAMPLES_FILE
 from solver.live.sent import FILE as TAKES_FILE
 from solver.live.sent import gather_takes
 from solver.live.session import LiveOptions, LiveSession
 from solver.live.skin import FILE
-from solver.live.takes import LeftTake, SentFace, TakeWriter, check_name, drop_part, finish_part
+from solver.live.takes import (
+    LeftTake,
+    SentFace,
+    TakeWriter,
+    check_name,
+    check_room,
+    drop_part,
+    finish_part,
+)
 from solver.live.texts import describe_frame, read_frame
 from solver.progress import Step
 from solver.storage import write_json
@@ -55,6 +63,7 @@ class LoopOptions:
 
 
 LOOP = LoopOptions()
+NO_TAKE = {"type": "take", "name": None, "file": None, "frames": 0, "seconds": 0.0}
 
 
 def run(task: Task[Options]) -> list[Path]:
@@ -119,13 +128,11 @@ class _Loop:
     def _turn(self, session: LiveSession) -> None:
         """Take what has come, and follow the newest frames of it."""
         message = self._channel.receive(LOOP.wait_s)
-        for _ in range(LOOP.most_waiting):
-            if message is None:
-                break
+        read = 0
+        while message is not None:
             self._take_message(session, message)
-            message = self._channel.receive(0.0)
-        if message is not None:
-            self._take_message(session, message)
+            read += 1
+            message = self._channel.receive(0.0) if read < LOOP.most_waiting else None
         self._follow_waiting(session)
         self._look_at_clock(session)
 
@@ -137,11 +144,18 @@ class _Loop:
             self._add_to_take(session, self._waiting.popleft())
         while self._waiting:
             given = self._waiting.popleft()
-            followed = session.step(given.frame, self._dropped)
+            try:
+                followed, sample = session.step(given.frame, given.numbers, self._dropped)
+            except (SolveError, np.linalg.LinAlgError) as error:  # ends neither session nor take
+                message = f"frame {given.frame.number} cannot be followed: {error}"
+                self._faults.tell("live.frame", message, given.frame.number)
+                session.begin()
+                self._add_to_take(session, given)
+                continue
             sent = None
-            if session.sample is not None and not followed.flags & HELD:
+            if not followed.flags & HELD:
                 told = followed.error_p50_mm, followed.error_p95_mm
-                sent = SentFace(session.sample.sent, told)
+                sent = SentFace(sample.sent, told)
             self._add_to_take(session, given, sent)
             if given.is_text:
                 self._tell(describe_frame(followed, session))
@@ -162,7 +176,6 @@ class _Loop:
 
     def _take_message(self, session: LiveSession, message: Message) -> None:
         """Take a message: a frame, or what a client wants."""
-        number = None
         try:
             if message.data.startswith(FOLLOWED) and not message.is_text:
                 self._resume(session, FollowedFrame.unpack(message.data))
@@ -174,13 +187,12 @@ class _Loop:
             )
             if frame is None:
                 return
-            number = frame.number
             given = _Given(frame, session.read(frame), message.is_text)
         except MessageError as error:
-            self._faults.tell("live.message", str(error), number)
+            self._faults.tell("live.message", str(error), message.number)
             return
         except InputError as error:
-            self._faults.tell(error.code, error.message, number)
+            self._faults.tell(error.code, error.message, message.number)
             return
         self._last_frame = time.monotonic()
         self._waiting.append(given)
@@ -195,6 +207,8 @@ class _Loop:
             self._record(session, said["record"])
         elif said.get("stop"):
             self._follow_waiting(session)
+            if self._take is None:  # who waits for a take is to hear that there is none
+                self._tell(NO_TAKE)
             self._stop(session)
         elif said.get("end"):
             self._ending = "asked"
@@ -218,6 +232,7 @@ class _Loop:
     def _record(self, session: LiveSession, name: object) -> None:
         """Begin a take; one that is being recorded is stopped before."""
         self._stop(session)
+        check_room([self._task.out / file for file in self._takes])
         source = session.options.source
         chosen = check_name(name, self._task.out, source)
         shape = (session.source.rows, session.source.width)
@@ -233,7 +248,7 @@ class _Loop:
         take = self._take.finish()
         self._take = None
         if take is None:
-            self._tell({"type": "take", "name": name, "file": None, "frames": 0, "seconds": 0.0})
+            self._tell({**NO_TAKE, "name": name})
             return
         told = {} if session is None else {"error_mm": _rounded(session.errors.told)}
         self._left(take, told)
@@ -288,7 +303,7 @@ class _Loop:
                 self._early.append(message)
 
     def _tell(self, said: Mapping[str, Any]) -> None:
-        self._channel.send(Message(json.dumps(said).encode(), is_text=True))
+        self._channel.send(Message.of(said))
 
     def _rescue_takes(self) -> None:
         """List the takes of attempts before, and finish one that was being recorded."""
@@ -307,6 +322,7 @@ class _Loop:
         """Finish what is being recorded, say the end, and write the report."""
         out = self._task.out
         reason = self._ending or "closed"
+        self._task.progress(Step(ENDING, 0.96))
         with suppress(ChannelClosedError):
             while session is not None and self._waiting:  # of a channel that was closed meanwhile
                 self._add_to_take(session, self._waiting.popleft())
@@ -346,15 +362,16 @@ class _Faults:
         self._channel = channel
         self._told: dict[str, float] = {}
 
-    def tell(self, code: str, message: str, number: int | None) -> None:
-        """Count a fault, which is about the frame with a number if it is about one."""
+    def tell(self, code: str, message: str, number: int) -> None:
+        """Count a fault, which is about the frame with a number, -1 if it is about none."""
         self.counts[code] += 1
         now = time.monotonic()
         if now - self._told.get(code, -math.inf) < LOOP.fault_s:
             return
         self._told[code] = now
-        said = {"type": "fault", "code": code, "message": message, "number": number}
-        self._channel.send(Message(json.dumps(said).encode(), is_text=True))
+        about = number if number >= 0 else None
+        said = {"type": "fault", "code": code, "message": message, "number": about}
+        self._channel.send(Message.of(said))
 
 
 def _read_object(data: bytes) -> dict[str, Any]:

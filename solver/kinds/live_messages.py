@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -31,6 +32,11 @@ class Message(NamedTuple):
 
     data: bytes
     is_text: bool = False
+
+    @classmethod
+    def of(cls, words: Mapping[str, Any]) -> Message:
+        """Return the text message of an object."""
+        return cls(json.dumps(words).encode(), is_text=True)
 
     @property
     def words(self) -> dict[str, Any]:

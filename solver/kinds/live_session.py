@@ -60,6 +60,8 @@ class LiveSession(JobOptions):
     )
 
 
+ENDING = "ending"  # phase of a session that was told to end, while it leaves its takes
+
 KIND = Kind(
     queue="live",
     reads=(

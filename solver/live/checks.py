@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Protocol
@@ -50,13 +50,13 @@ class CheckOptions:
 
     pause_s: float = 0.1  # between two of them
     usual_s: float = 0.15  # usual time between samples, solve included
-    # of the time between samples, that whose frames one stands for. The fit of all frames of a take
-    # steps in a third of them alone, where a step promises enough: one sample of ten frames is
-    # 0.21 mm off it (95 %: 0.33) if it is worth four, 0.27 (0.66) if nine, 0.40 (0.52) if one
+    # a sample stands for the frames within so long of it, and counts as often. The fit of a whole
+    # take steps in a third of its frames alone: of samples of every tenth frame, such as count as
+    # four come nearest to it (0.21 mm off, 95 %: 0.33; as nine 0.27, 0.66; as one 0.40, 0.52)
     alike_s: float = 1 / 15
     niceness: int = 10  # of their process: frames come first
     ending_s: float = 1.0  # that it gets to end: it has nothing to lose
-    keeping_s: float = 5.0  # between two times that the frames which were solved are written
+    keeping_s: float = 60.0  # between two times that the frames which were solved are written
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +95,7 @@ class CheckOrder:
     options: CheckOptions
     clues: int  # of a frame
     resume: bool = False  # whether frames that an attempt before has solved are known
+    left: Mapping[str, SolvedFrames] = field(default_factory=dict)  # of sessions before, by sorts
 
 
 class FullSolver(Protocol):
@@ -202,8 +203,8 @@ class Checks:
         self._file = order.out / FILE
         self._keeping_s = order.options.keeping_s
         self._kept = time.monotonic()
-        markers = order.files.get("marker_set") if order.source == "markers" else None
-        self._sort = sort_of(face.live, order.source, markers)
+        learned = face.controls is not None
+        self._sort = sort_of(face.live, order.source, order.files, learned=learned)
         self._others = _left_samples(order)
         known = self._others.pop(self._sort, None)
         features = len(face.live.names) + order.clues
@@ -240,20 +241,19 @@ class Checks:
 def _left_samples(order: CheckOrder) -> dict[str, SolvedFrames]:
     """Return what an attempt before has solved, else sessions before."""
     own = order.out / FILE
-    found = own if order.resume and own.is_file() else order.files.get("live_samples")
-    if found is None:
-        return {}
-    try:
-        return read_samples(found)
-    except InputError as error:  # whose damage costs no session
-        log.warning("samples.unreadable", file=found.name, error=error.message)
-        return {}
+    if order.resume and own.is_file():
+        try:
+            return read_samples(own)
+        except InputError as error:  # whose damage costs no session
+            log.warning("samples.unreadable", file=own.name, error=error.message)
+    return dict(order.left)
 
 
 class CheckProcess:
     """The process of full solves, and the thread that talks to it.
 
-    In that thread ``begin`` gets what is known of the skin, and ``tell`` what was solved.
+    ``begin`` is called once with what is known of the skin, ``tell`` after each solve, both in that
+    thread.
     """
 
     def __init__(
@@ -275,7 +275,7 @@ class CheckProcess:
         self._begin = begin
         self._tell = tell
         self._orders: queue.SimpleQueue[Sample | None] = queue.SimpleQueue()
-        self._is_idle = False
+        self._is_idle = self._is_closing = False
         self._next = 0.0
         self._thread = threading.Thread(target=self._talk, daemon=True)
         self._thread.start()
@@ -292,6 +292,7 @@ class CheckProcess:
 
     def close(self) -> None:
         """End the process."""
+        self._is_closing = True
         self._is_idle = False
         self._orders.put(None)
         self._process.join(self._options.ending_s)
@@ -301,7 +302,7 @@ class CheckProcess:
         self._thread.join(self._options.ending_s)
 
     def _talk(self) -> None:
-        with suppress(EOFError, OSError):  # the process has died: there are no more checks
+        try:
             self._begin(self._receive.recv())  # it is ready
             while True:
                 self._is_idle = True
@@ -315,6 +316,10 @@ class CheckProcess:
                 # a pause as long as the solve: else frames just after one, when the skin is right,
                 # would be sampled more than others
                 self._next = now + max(self._options.pause_s, now - begin)
+        except (EOFError, OSError):  # the process has died: there are no more checks
+            if not self._is_closing:
+                self._process.join(self._options.ending_s)
+                log.warning("checks.died", exitcode=self._process.exitcode)
         self._is_idle = False
 
 

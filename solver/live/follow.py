@@ -267,6 +267,6 @@ class PlaceSource(LiveSource):
 
 def as_live(found: FollowedPoints) -> FollowedFace:
     """Return followed points as a session has them."""
-    left = np.nan_to_num(found.residuals.ravel())
-    is_held = not np.isin(found.states, ("missing", "outlier"), invert=True).any()
-    return FollowedFace(found.values, found.head, left, is_held)
+    counts = np.isin(found.states, ("missing", "outlier"), invert=True)
+    left = np.where(counts[:, None], np.nan_to_num(found.residuals), 0.0)
+    return FollowedFace(found.values, found.head, left.ravel(), not counts.any())

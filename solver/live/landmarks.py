@@ -8,7 +8,7 @@ which a detector guesses, counts less.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
@@ -42,6 +42,7 @@ class LandmarkOptions:
     least: int = 20  # that a template must have, and a frame must show
     depth: float = 4.0  # times as uncertain as in the picture's plane
     spread: float = 0.5  # part of a landmark's spread over pictures that is noise of a frame
+    point: float = 1e-6  # extent of landmarks that are one point, by how far that is from 0
     perspective: PerspectiveOptions = field(default_factory=PerspectiveOptions)
     follow: PointOptions = field(
         default_factory=lambda: PointOptions(
@@ -102,12 +103,15 @@ class LiveLandmarks(PlaceSource):
     def step(self, numbers: Floats, seconds: float) -> FollowedFace:
         seen = numbers[self._used] @ IMAGE_AXES
         known = np.isfinite(seen).all(axis=1)
-        if known.sum() < self._options.least:
-            found = self._follower.step(np.full_like(seen, np.nan), seconds)
-            return replace(as_live(found), is_held=True)
+        if known.sum() < self._options.least or self._is_point(seen[known]):
+            return as_live(self._follower.step(np.full_like(seen, np.nan), seconds))
         at = self._places.at(self._follower.memory.values)
         flat = self.perspective.flatten(seen, at, seconds)
         return as_live(self._follower.step(flat, seconds))
+
+    def _is_point(self, seen: Floats) -> bool:
+        """Return whether places (k, 3) are one, as some detectors say that they see no face."""
+        return bool(np.ptp(seen, axis=0).max() <= self._options.point * np.abs(seen).max())
 
     @override
     def begin(self) -> None:

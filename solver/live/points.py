@@ -55,7 +55,8 @@ class RobustPoints(PointJudge):
         term = MarkerTerm(self._places, seen, used, expected.head, options.follow.head)
         off = np.linalg.norm(term.place(expected.at).offsets, axis=1)
         weights = np.where(is_seen, robust_weights((off / options.wrong_mm) ** 2), 0.0)
-        states = np.where(is_seen, "seen", "missing")
+        is_wrong = weights < options.follow.robust.least_weight
+        states = np.select([~is_seen, is_wrong], ["missing", "outlier"], "seen")
         weighted = replace(term, precision=used * weights[:, None])
         return JudgedFrame(seen, weights, states), weighted
 

@@ -33,6 +33,7 @@ from solver.photo.mesh_points import landmark_points
 from solver.rig import Rig
 from solver.rig.preview import Listener
 from solver.scans.markers.places.marker_set import MarkerSet
+from solver.storage import copy_whole
 from solver.surface import Floats
 from solver.templates.builtin.build import builtin_template
 
@@ -79,8 +80,10 @@ class LiveFace:
             found = self._contraction(self.controls.pose(self._weights(values)).a)
         return np.nan_to_num(np.clip(found, 1.0 - ADMISSIBLE.fibre, 1.0 - ADMISSIBLE.shortest))
 
-    def jaw(self, values: Floats) -> Floats:
-        """Return the free jaw (5,) of the sliders."""
+    def jaw(self, values: Floats, *, learned: bool = False) -> Floats:
+        """Return the free jaw (5,) that the skin of :meth:`amounts` has, ``learned`` or not."""
+        if learned and self.controls is not None:
+            return self.controls.pose(self._weights(values)).b
         b = self.live.sliders.jaw_numbers(values)
         return five_numbers(self.rig.model.jaw, self.face.jaw.matrix(b))
 
@@ -215,7 +218,8 @@ def _live_skin(
         if path is not None and path.is_file():
             found = LiveSkin.load(path, face, expressions)
             if found is not None:
-                found.save(kept, face, expressions)
+                if path != kept:
+                    copy_whole(path, kept)
                 return found
     found = LiveSkin.make(face, shapes.expression_names, basis, listen, options)
     found.save(kept, face, expressions)

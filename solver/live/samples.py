@@ -2,7 +2,7 @@
 
 The error of a session falls as it goes on, by what full solves tell of the skin; one that begins
 with the frames of another begins where that ended. They serve a session of the same reduced skin,
-the same source and the same markers: a file has those of each such sort apart.
+source, markers and learned controls: a file has those of each such sort apart.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from solver.errors import InputError
 from solver.kinds import FILES
+from solver.kinds.live_session import Source
 from solver.live.skin import LiveSkin
 from solver.storage import Archive, hash_file
 from solver.surface import Floats
@@ -39,11 +40,19 @@ class SolvedFrames:
         return self.at.shape == (len(self.off), features) and self.off.shape[1:] == (amounts,)
 
 
-def sort_of(skin: LiveSkin, source: str, marker_set: Path | None) -> str:
-    """Return what tells a session's sort: a hash of its skin, source and markers."""
-    markers = None if marker_set is None else hash_file(marker_set)
+def sort_of(skin: LiveSkin, source: Source, files: Mapping[str, Path], *, learned: bool) -> str:
+    """Return what tells a session's sort: a hash of its skin, source and what else it goes by.
+
+    That is the marker set of markers, and the controls, where the face has ``learned`` ones, of
+    sources whose full solves go by them. ``files`` are by their roles.
+    """
+    about: dict[str, str] = {"source": source}
+    if source == "markers":
+        about["markers"] = hash_file(files["marker_set"])
+    if learned and source in ("weights", "landmarks"):
+        about["controls"] = hash_file(files["controls"])
     modes = {"directions": skin.sliders.directions, "basis": skin.skin.basis, "spare": skin.spare}
-    return Archive({"source": source, "markers": markers}, modes).sha256
+    return Archive(about, modes).sha256
 
 
 def write_samples(path: Path, by_sort: Mapping[str, SolvedFrames]) -> None:

@@ -1,16 +1,15 @@
 """A live session: a face followed frame after frame, checked and mended meanwhile.
 
     session = LiveSession.open(files, out, LiveOptions("weights"))
-    followed = session.step(GivenFrame(number, seconds, numbers))
+    frame = GivenFrame(number, seconds, data)
+    followed, sample = session.step(frame, session.read(frame))
 
 The same steps serve the job of the service and a program that holds a session itself.
 """
 
 from __future__ import annotations
 
-import hashlib
 import math
-import threading
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -37,7 +36,7 @@ from solver.rig.preview import Listener
 from solver.scans.markers.places.marker_set import MarkerSet
 from solver.scans.performance import ARKIT_NAMES
 from solver.similarity import Similarity, small_motion
-from solver.storage import write_container
+from solver.storage import hash_file, write_container
 from solver.surface import Floats
 
 Layout = tuple[tuple[str, tuple[int, ...]], ...]  # names and shapes of a followed frame's arrays
@@ -143,7 +142,6 @@ class LiveSession:
         self.options = options
         self.errors = RunningError(options.window_s)
         self.frames = 0
-        self.sample: Sample | None = None  # of the frame that was followed last
         # of the amounts that are sent
         self.modes = SentModes.of_skin(face.rig.model, face.rig.weights, face.live.basis)
         self._held = 0
@@ -154,8 +152,12 @@ class LiveSession:
         self._sha256 = skin_sha256
         count = len(face.live.names)
         modes = len(face.live.basis)
+        # of other sources the skin is by the sliders
+        self._is_learned = options.source == "weights"
+        at_rest = np.zeros(count)  # makes what frames use, so that the first does not wait for it
+        face.amounts(at_rest, learned=self._is_learned)
+        face.contractions(at_rest)
         self._mend = Mend.nothing(count + source.clue_count, modes)
-        self._lock = threading.Lock()
         self._smoother: Smoother | None = None
         if options.smooth_hz is not None:
             speeds = options.speeds
@@ -182,11 +184,9 @@ class LiveSession:
         markers = None
         if options.source == "markers":
             markers = MarkerSet.load(files["marker_set"], face.rig.model)
-        if "live_samples" in files:  # what is wrong with it is told now, not beside the session
-            read_samples(files["live_samples"])
+        left = read_samples(files["live_samples"]) if "live_samples" in files else {}
         source = face.source(options.source, markers)
         write_view(face, out / VIEW_FILE)
-        digest = hashlib.sha256((out / FILE).read_bytes()).hexdigest()
         order = None
         if options.check_seconds > 0:
             checks = CheckOptions(options.check_seconds)
@@ -198,8 +198,9 @@ class LiveSession:
                 checks,
                 source.clue_count,
                 options.resume,
+                left,
             )
-        return cls(face, source, options, order, digest)
+        return cls(face, source, options, order, hash_file(out / FILE))
 
     @property
     def layout(self) -> Layout:
@@ -257,37 +258,41 @@ class LiveSession:
             found[~(np.abs(found) <= self.options.farthest)] = np.nan
         return found
 
-    def step(self, frame: GivenFrame, dropped: int = 0) -> FollowedFrame:
-        """Follow a frame; ``dropped`` are those that came too fast so far. Raises as :meth:`read`.
+    def step(
+        self, frame: GivenFrame, numbers: NDArray[np.float32], dropped: int = 0
+    ) -> tuple[FollowedFrame, Sample]:
+        """Follow a frame by the ``numbers`` that :meth:`read` found in it.
 
-        A clock that stands still counts as a frame's time; where it goes back, or jumps, what was
-        before is forgotten.
+        ``dropped`` are those that came too fast so far. A clock that stands still counts as a
+        frame's time; where it goes back, or jumps, what was before is forgotten.
         """
         begin = time.perf_counter()
-        numbers = self.read(frame)
         seconds, flags = self._after(frame.seconds)
         followed = self.source.step(numbers.astype(np.float64), seconds)
-        learned = self.options.source == "weights"
-        plain = self.face.amounts(followed.values, learned=learned)
-        with self._lock:
-            mend = self._mend
-        mended = plain + mend(followed.values, followed.clues)
+        plain = self.face.amounts(followed.values, learned=self._is_learned)
+        mended = plain + self._mend(followed.values, followed.clues)
         shown, sent = self._smooth(followed, mended, seconds)
         arrays = self._arrays(shown, sent)
         if followed.is_held:
             flags |= HELD
             self._held += 1
         values = followed.values
-        self.sample = Sample(frame.number, numbers, values, followed.clues, plain, sent)
+        sample = Sample(frame.number, numbers, values, followed.clues, plain, sent)
         if self._checks is not None and not followed.is_held and self._checks.wants_one:
-            self._checks.offer(self.sample)
+            self._checks.offer(sample)
         self.frames += 1
         spent = 1e3 * (time.perf_counter() - begin)
         self._solve_ms.add(spent)
         packed = b"".join(np.ascontiguousarray(each, "<f4").tobytes() for each in arrays)
-        return FollowedFrame(
-            frame.number, frame.seconds, spent, *self.errors.told, dropped, flags, packed
-        )
+        told = self.errors.told
+        answer = FollowedFrame(frame.number, frame.seconds, spent, *told, dropped, flags, packed)
+        return answer, sample
+
+    def begin(self) -> None:
+        """Forget the frames before, as after one that could not be followed."""
+        self.source.begin()
+        if self._smoother is not None:
+            self._smoother.begin()
 
     def resume(self, frame: FollowedFrame) -> None:
         """Go on from a frame that another session of the same rig and kind has followed last.
@@ -337,9 +342,7 @@ class LiveSession:
             elif passed < 0.0 or passed > self.options.gap_s:
                 flags |= GAP
                 self._gaps += 1
-                self.source.begin()
-                if self._smoother is not None:
-                    self._smoother.begin()
+                self.begin()
                 passed = usual
         self._last_seconds = seconds
         return passed or usual, flags
@@ -361,7 +364,8 @@ class LiveSession:
         head[:3, :3] = shown.head.rotation
         head[:3, 3] = shown.head.shift
         values = shown.values
-        arrays = [head, self.face.jaw(values), values, amounts, self.face.contractions(values)]
+        jaw = self.face.jaw(values, learned=self._is_learned)
+        arrays = [head, jaw, values, amounts, self.face.contractions(values)]
         return [*arrays, self.face.skin_of(amounts)] if self.options.send_skin else arrays
 
     def _take_check(self, found: Checked) -> None:
@@ -371,8 +375,7 @@ class LiveSession:
 
     def _take_mend(self, mend: Mend | None) -> None:
         if mend is not None:
-            with self._lock:
-                self._mend = mend
+            self._mend = mend  # whole, at once: a frame has the one or the other
 
 
 def arrays_of(frame: FollowedFrame, layout: Layout) -> dict[str, Floats]:

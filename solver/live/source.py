@@ -14,7 +14,7 @@ class FollowedFace:
     """A face followed in one frame.
 
     ``clues`` (d,) tell beside the values how the flesh differs from the reduced skin: what is left
-    of the frame's points, in mm, 0 where nothing was seen.
+    of the frame's points, in mm, 0 where nothing was seen or what was is wrong.
     """
 
     values: Floats  # (s,) of the sliders

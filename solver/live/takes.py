@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -40,6 +41,10 @@ class TakeLimits:
     most_bytes: int = 4 << 30
     most_frames: int = 1_000_000
     longest_gap_s: float = 60.0  # in a take of frames at even times: more of it is left out
+    back_s: float = 1.0  # a clock that goes back by more was set anew: the take goes on
+    # from which on a session begins no more: a job's files are bounded
+    most_takes: int = 150
+    most_left_bytes: int = 6 << 30
 
 
 @dataclass(frozen=True)
@@ -91,6 +96,7 @@ class TakeWriter:
             "of": modes.identity,
         }
         self._stream.write(json.dumps(header).encode() + b"\n")
+        self._stream.flush()
 
     @property
     def is_full(self) -> bool:
@@ -135,10 +141,21 @@ def check_name(name: object, folder: Path, source: Source) -> str:
         raise InputError("live.take_name", message, found=quote(name))
     chosen = name
     number = 1
-    while (folder / file_name(chosen, source)).exists():
+    while any((folder / f"{file_name(chosen, source)}{end}").exists() for end in ("", PART)):
         number += 1
         chosen = f"{name}-{number}"
     return chosen
+
+
+def check_room(files: Collection[Path], options: TakeLimits = TakeLimits()) -> None:
+    """Raise :class:`InputError` (``live.takes_full``) where a session has left enough takes."""
+    size = sum(path.stat().st_size for path in files)
+    if len(files) >= options.most_takes or size >= options.most_left_bytes:
+        message = (
+            f"the session has left {len(files)} takes of {size / 1e9:.1f} GB, which is as much as "
+            "it may: end it, and go on in another one"
+        )
+        raise InputError("live.takes_full", message, found=len(files))
 
 
 def finish_part(path: Path, options: TakeLimits = TakeLimits()) -> LeftTake | None:
@@ -148,24 +165,36 @@ def finish_part(path: Path, options: TakeLimits = TakeLimits()) -> LeftTake | No
     recorded stays until :func:`drop_part`, of a take without frames nothing does.
     """
     with path.open("rb") as stream:
-        header = json.loads(stream.readline())
+        line = stream.readline()
         begin = stream.tell()
-    row = _row(tuple(header["shape"]), header["modes"])
-    count = (path.stat().st_size - begin) // row.itemsize
+    count = 0
+    if line.endswith(b"\n"):  # else the process died as it wrote the header
+        header = json.loads(line)
+        row = _row(tuple(header["shape"]), header["modes"])
+        count = (path.stat().st_size - begin) // row.itemsize
     if not count:
         path.unlink()
         return None
     frames = np.memmap(path, row, "r", begin, (count,))
     out = path.with_name(path.name.removesuffix(PART))
-    seconds = np.array(frames["seconds"])
+    seconds = _one_clock(np.array(frames["seconds"]), options)
     later = np.flatnonzero(np.append(True, np.diff(np.maximum.accumulate(seconds)) > 0))
     seconds = seconds[later]
     source: Source = header["source"]
     recorded = _Recorded(out, header["labels"], seconds, frames["numbers"], later, options)
     WRITERS[source](recorded)
-    rows = later[recorded.seen()] if source == "weights" else recorded.even()
+    rows = later[recorded.seen] if source == "weights" else recorded.even
     _leave_sent(out, header, frames, rows)
     return LeftTake(header["name"], out.name, len(later), float(seconds[-1] - seconds[0]))
+
+
+def _one_clock(seconds: Floats, options: TakeLimits) -> Floats:
+    """Return times (f,) of which the clock was never set back: a usual step is there instead."""
+    steps = np.diff(seconds)
+    forward = steps[steps > 0.0]
+    usual = float(np.median(forward)) if len(forward) else 0.0
+    steps[steps < -options.back_s] = usual
+    return np.asarray(seconds[0] + np.append(0.0, np.cumsum(steps)))
 
 
 def drop_part(folder: Path, take: LeftTake) -> None:
@@ -198,46 +227,49 @@ class _Recorded:
     rows: NDArray[np.int64]
     options: TakeLimits
 
+    @cached_property
     def rate(self) -> float:
-        """Return the usual number of frames a second; 60 of a single frame."""
+        """The usual number of frames a second; 60 of a single frame."""
         if len(self.seconds) < 2:
             return 60.0
         return float(np.clip(1.0 / np.median(np.diff(self.seconds)), 1.0, 1000.0))
 
+    @cached_property
     def even(self) -> NDArray[np.int64]:
-        """Return the row of every frame at even times, -1 for one that did not come."""
-        steps = np.rint(np.diff(self.seconds) * self.rate()).astype(np.int64)
-        most = int(self.options.longest_gap_s * self.rate())
+        """The row of every frame at even times, -1 for one that did not come."""
+        steps = np.rint(np.diff(self.seconds) * self.rate).astype(np.int64)
+        most = int(self.options.longest_gap_s * self.rate)
         places = np.append(0, np.cumsum(np.clip(steps, 0, most)))
         found = np.full(places[-1] + 1, -1, np.int64)
         found[places] = self.rows
         return found
 
+    @cached_property
     def seen(self) -> NDArray[np.bool_]:
-        """Return in which frames (f,) a weight was seen: a recording has these alone."""
+        """In which frames (f,) a weight was seen: a recording has these alone."""
         weights = self.numbers[self.rows, : len(ARKIT_NAMES), 0]
         return np.asarray(np.isfinite(weights).any(axis=1))
 
     def points(self) -> Floats:
         """Return frames (f, k, 3) at even times, NaN where nothing was seen."""
-        rows = self.even()
+        rows = self.even
         points = np.array(self.numbers[np.maximum(rows, 0)], np.float64)
         points[(rows < 0)[:, None] | ~np.isfinite(points).all(axis=2)] = np.nan
         return points
 
 
 def _write_markers(made: _Recorded) -> None:
-    Take(made.path.name, tuple(made.labels), made.points(), made.rate()).save(made.path)
+    Take(made.path.name, tuple(made.labels), made.points(), made.rate).save(made.path, packed=False)
 
 
 def _write_landmarks(made: _Recorded) -> None:
     points = made.points() @ IMAGE_AXES
     names = np.array([str(number) for number in range(points.shape[1])])
-    np.savez_compressed(made.path, names=names, points=points, rate=made.rate())
+    np.savez(made.path, names=names, points=points, rate=made.rate)
 
 
 def _write_points(made: _Recorded) -> None:
-    rows = made.even()
+    rows = made.even
     nothing = np.full(made.numbers.shape[1:], np.nan, np.float32)
     frames = (made.numbers[row] if row >= 0 else nothing for row in rows.tolist())
     write_performance(made.path, frames, len(rows), made.numbers.shape[1])
@@ -256,7 +288,7 @@ def _write_weights(made: _Recorded) -> None:
         np.clip(held[:, :count], 0.0, 1.0),
         turns[0],
         np.stack(turns[1:], axis=1),
-        made.seen(),
+        made.seen,
         "live_link",
     )
     write_recording(made.path, take)

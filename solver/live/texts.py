@@ -27,7 +27,7 @@ def read_frame(said: Mapping[str, Any], source: LiveSource) -> GivenFrame:
     seconds: Any = said.get("seconds")
     if type(number) is not int or not 0 <= number <= MOST_NUMBER:
         raise MessageError(f"number is {quote(number)}, not a whole number from 0 to {MOST_NUMBER}")
-    if type(seconds) not in (int, float) or not math.isfinite(seconds):
+    if seconds is None or not math.isfinite(_number(seconds, f"the time of frame {number}")):
         raise MessageError(f"seconds of frame {number} are {quote(seconds)}, not a number")
     if isinstance(said.get("weights"), dict):
         rows = _read_weights(said["weights"], source, number)

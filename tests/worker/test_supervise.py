@@ -14,6 +14,7 @@ import textwrap
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +123,35 @@ def test_what_was_said_during_an_outage_is_written_down_after_it(
             (0, 29)
         ]
         assert session.get_one(Job, claim.job_id).progress["phase"] == "phase 4"
+
+
+def test_a_lease_is_kept_while_files_are_stored(
+    settings: Settings, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    claim = _claimed(store, "simulate")
+    folder = AttemptFolder(settings.work, claim)
+    frames = folder.path / "out" / FRAMES
+    frames.mkdir(parents=True)
+    (frames / "000000-000029.json").write_text("{}")
+    put = store.files.put
+    leases = []
+
+    def slow(*about: Any) -> Any:
+        for _ in range(2):
+            leases.append(_lease(store, claim))
+            eventually(lambda: _lease(store, claim) > leases[-1])
+        return put(*about)
+
+    monkeypatch.setattr(store.files, "put", slow)
+    _supervisor(store, settings)._beat(claim, Talking(), folder)
+    assert leases
+
+
+def _lease(store: Store, claim: Claim) -> datetime:
+    with store.read() as session:
+        until = session.get_one(Job, claim.job_id).lease_until
+    assert until is not None
+    return until
 
 
 def test_what_takes_minutes_is_kept_for_the_next_attempt(settings: Settings, store: Store) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,7 +23,7 @@ def echo(task: Task[Any]) -> list[Path]:
     """Give every frame's numbers back until the session is to end."""
     channel = task.channel
     assert channel is not None
-    channel.send(Message(json.dumps(READY).encode(), is_text=True))
+    channel.send(Message.of(READY))
     while True:
         message = channel.receive()
         assert message is not None

@@ -33,7 +33,7 @@ class Client:
         self.thread.start()
 
     def say(self, **said):
-        self.channel.send(Message(json.dumps(said).encode(), is_text=True))
+        self.channel.send(Message.of(said))
 
     def frame(self, number, seconds, numbers=OPEN):
         self.channel.send(Message(GivenFrame(number, seconds, numbers.tobytes()).pack()))

@@ -7,11 +7,18 @@ from pathlib import Path
 import numpy as np
 
 from solver.fitting.expression_basis import ExpressionBasis
+from solver.kinds.live_messages import FollowedFrame, GivenFrame
+from solver.live.session import LiveSession
 from solver.live.skin import LiveSkin
 from solver.rig.frames.skin_basis import ReducedSkin
 from solver.rig.preview.sliders import Control, Sliders
 from solver.templates.builtin.build import builtin_template
 from tests.fixtures import small_rig
+
+
+def follow(session: LiveSession, frame: GivenFrame, dropped: int = 0) -> FollowedFrame:
+    """Return a frame as a session follows it."""
+    return session.step(frame, session.read(frame), dropped)[0]
 
 
 def live_files(folder: Path) -> dict[str, Path]:

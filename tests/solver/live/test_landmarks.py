@@ -11,7 +11,7 @@ from solver.live.landmarks import LandmarkOptions, LiveLandmarks
 from solver.live.perspective import Perspective, PerspectiveOptions
 from solver.live.session import LiveOptions, LiveSession, arrays_of
 from solver.similarity import Similarity, small_motion
-from tests.solver.live.live_rig import live_files
+from tests.solver.live.live_rig import follow, live_files
 
 FRAMES = 90
 RATE = 30.0
@@ -49,7 +49,7 @@ def test_landmarks_of_a_known_motion_are_followed_back_to_the_face(session, film
     shown = session.face.rig.model.face
     off, turned = [], []
     for number, (skin, head, seen) in enumerate(zip(skins, heads, landmarks, strict=True)):
-        frame = session.step(GivenFrame(number, number / RATE, seen.tobytes()))
+        frame = follow(session, GivenFrame(number, number / RATE, seen.tobytes()))
         arrays = arrays_of(frame, session.layout)
         followed = session.face.skin_of(arrays["amounts"])
         off.append(np.linalg.norm((followed - skin)[shown], axis=1).mean())

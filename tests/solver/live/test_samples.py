@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
+from solver.kinds.live_session import Source
 from solver.live.checks import CheckOptions, CheckOrder, Checks, FullSolver, Sample
 from solver.live.rigged import LiveFace
-from solver.live.samples import FILE, MOST_SORTS, SolvedFrames, read_samples, write_samples
+from solver.live.samples import FILE, MOST_SORTS, SolvedFrames, read_samples, sort_of, write_samples
 from solver.live.session import LiveOptions, LiveSession
 from solver.storage import Archive
 from solver.surface import Floats
@@ -57,28 +58,50 @@ def test_a_session_begins_with_what_one_before_of_its_sort_has_solved(
     amounts = face.live.amounts(values)
     sample = Sample(0, np.zeros((0, 3), np.float32), values, np.zeros(0), amounts, amounts)
 
-    def checks(folder: str, source: str, given: dict[str, Path]) -> Checks:
+    def checks(folder: str, source: Source, left: dict[str, SolvedFrames]) -> Checks:
         out = tmp_path / folder
         out.mkdir(exist_ok=True)
-        order = CheckOrder(given, out, source, 60.0, CheckOptions(), 0)
+        order = CheckOrder(files, out, source, 60.0, CheckOptions(), 0, left=left)
         return Checks(face, Swollen(face), order)
 
-    first = checks("first", "weights", files)
+    first = checks("first", "weights", {})
     assert first.known() is None
     told = first.check(sample)
     assert told.error_mm == pytest.approx(np.sqrt(3.0))
     first.keep()
-    later = {**files, "live_samples": tmp_path / "first" / FILE}
-    other = checks("other", "points", later)
+    other = checks("other", "points", read_samples(tmp_path / "first" / FILE))
     assert other.known() is None
-    other.keep()
-    again = {**files, "live_samples": tmp_path / "other" / FILE}  # which handed them on
-    known = checks("second", "weights", again).known()
+    other.keep()  # which hands them on
+    known = checks("second", "weights", read_samples(tmp_path / "other" / FILE)).known()
     assert known is not None
     assert told.mend is not None
     off = known(values, np.zeros(0))
     assert np.abs(off).max() > 0.01
     np.testing.assert_array_equal(off, told.mend(values, np.zeros(0)))
+
+
+def test_what_full_solves_go_by_makes_another_sort(files: dict[str, Path], tmp_path: Path) -> None:
+    skin = LiveFace.open(files, tmp_path).live
+    given = {name: tmp_path / name for name in ("controls", "marker_set", "others")}
+    for name, path in given.items():
+        path.write_text(name)
+    later = {**given, "controls": given["others"]}
+
+    def sort(source: Source, files: dict[str, Path], *, learned: bool) -> str:
+        return sort_of(skin, source, files, learned=learned)
+
+    sources: tuple[Source, ...] = ("weights", "landmarks")
+    for source in sources:
+        known = {
+            sort(source, given, learned=False),
+            sort(source, given, learned=True),
+            sort(source, later, learned=True),
+        }
+        assert len(known) == 3
+    assert sort("points", given, learned=True) == sort("points", later, learned=False)
+    markers = {**given, "marker_set": given["others"]}
+    assert sort("markers", given, learned=True) == sort("markers", later, learned=True)
+    assert sort("markers", given, learned=True) != sort("markers", markers, learned=True)
 
 
 @pytest.mark.parametrize("spoil", ["garbage", "format", "shape", "number"])

@@ -16,9 +16,10 @@ from solver.live.sent import FILE as TAKES_FILE
 from solver.live.sent import read_takes
 from solver.live.session import Counts, LiveOptions, LiveSession, RunningError
 from solver.live.takes import SentFace, TakeWriter
+from solver.live.weights import LiveWeights
 from solver.scans.performance import ARKIT_NAMES, read_live_link
 from tests.solver.live.live_client import OPEN, Client
-from tests.solver.live.live_rig import live_files
+from tests.solver.live.live_rig import follow, live_files
 
 JAW_OPEN = ARKIT_NAMES.index("jawOpen")
 
@@ -89,12 +90,12 @@ def test_bad_messages_are_told_and_the_session_goes_on(files, tmp_path):
 def test_clocks_that_jump_begin_anew_and_frames_too_fast_are_dropped(files, tmp_path):
     session = LiveSession.open(files, tmp_path, LiveOptions("weights", check_seconds=0))
     flags = [
-        session.step(GivenFrame(number, seconds, OPEN.tobytes())).flags
+        follow(session, GivenFrame(number, seconds, OPEN.tobytes())).flags
         for number, seconds in enumerate([0.0, 0.1, 0.1, 0.05, 0.06, 9.0, 9.5])
     ]
     assert flags == [0, 0, 0, GAP, 0, GAP, 0]
     with pytest.raises(InputError) as caught:
-        session.step(GivenFrame(9, float("nan"), OPEN.tobytes()))
+        session.read(GivenFrame(9, float("nan"), OPEN.tobytes()))
     assert caught.value.code == "live.frame"
     client = Client(files, tmp_path)
     client.hear("ready")
@@ -111,11 +112,58 @@ def test_clocks_that_jump_begin_anew_and_frames_too_fast_are_dropped(files, tmp_
     assert last.number == 199
 
 
+def test_a_frame_that_cannot_be_followed_costs_neither_session_nor_take(
+    files, tmp_path, monkeypatch
+):
+    plain = LiveWeights.step
+
+    def step(source, numbers, seconds):
+        if numbers[0, 0] > 0.9:
+            raise np.linalg.LinAlgError("SVD did not converge")
+        return plain(source, numbers, seconds)
+
+    monkeypatch.setattr(LiveWeights, "step", step)
+    client = Client(files, tmp_path)
+    client.hear("ready")
+    client.say(stop=True)  # of a take that nobody began
+    assert client.hear("take") == {
+        "type": "take",
+        "name": None,
+        "file": None,
+        "frames": 0,
+        "seconds": 0.0,
+    }
+    client.say(record="walk")
+    client.hear("recording")
+    for number in range(3):
+        client.frame(number, number / 60, np.full(61, float(number == 1), "<f4"))
+        if number == 1:
+            fault = client.hear("fault")
+            assert (fault["code"], fault["number"]) == ("live.frame", 1)
+            assert "SVD" in fault["message"]
+        else:
+            assert client.followed().number == number
+    client.say(end=True)
+    assert client.hear("take")["frames"] == 3
+    client.thread.join()
+
+
+def test_faults_of_text_name_their_frame(files, tmp_path):
+    client = Client(files, tmp_path)
+    client.hear("ready")
+    client.say(number=7, seconds=10**400, values=[])
+    fault = client.hear("fault")
+    assert (fault["code"], fault["number"]) == ("live.message", 7)
+    client.say(end=True)
+    client.hear("ended")
+    client.thread.join()
+
+
 def test_another_attempt_goes_on_from_the_last_frame(files, tmp_path):
     session = LiveSession.open(files, tmp_path, LiveOptions("weights", check_seconds=0))
     weights = OPEN.copy()
     weights[JAW_OPEN] = 0.8
-    last = session.step(GivenFrame(4, 1.0, weights.tobytes()), dropped=3)
+    last = follow(session, GivenFrame(4, 1.0, weights.tobytes()), dropped=3)
     client = Client(files, tmp_path)
     client.say(resume=True)
     client.channel.send(Message(last.pack()))
@@ -200,7 +248,7 @@ def test_full_solves_measure_the_error_and_mend_it(files, tmp_path):
         while session.errors.solved < 4 and time.monotonic() < begin + 240:
             weights = OPEN.copy()
             weights[JAW_OPEN] = 0.4
-            frame = session.step(GivenFrame(number, number / 60, weights.tobytes()))
+            frame = follow(session, GivenFrame(number, number / 60, weights.tobytes()))
             told.append(frame.error_p50_mm)
             number += 1
             time.sleep(0.01)

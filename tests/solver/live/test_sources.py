@@ -53,6 +53,7 @@ def test_points_are_followed_with_their_head(face, values):
     assert np.linalg.norm(off, axis=1).mean() < 0.3
     assert frame.head.then(head.inverse()).degrees < 0.5
     assert not frame.is_held
+    assert np.abs(frame.clues).max() < 5.0  # none of points that are wrong
     assert source.step(np.full_like(points, np.nan), 1 / 60).is_held
 
 
@@ -72,6 +73,9 @@ def test_landmarks_are_followed_by_a_camera_of_any_scale(face, values):
     few = np.full_like(landmarks, np.nan)
     few[:5] = landmarks[:5]
     assert source.step(few, 1 / 30).is_held
+    for point in (0.0, 320.0):  # a detector that sees no face
+        assert source.step(np.full_like(landmarks, point), 1 / 30).is_held
+    assert not source.step(landmarks, 1 / 30).is_held
 
 
 def test_contractions_are_those_of_the_pose(face, values):

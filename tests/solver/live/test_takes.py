@@ -10,8 +10,10 @@ from solver.live.sent import FILE, SentModes, SentOptions, gather_takes, part_of
 from solver.live.takes import (
     PART,
     SentFace,
+    TakeLimits,
     TakeWriter,
     check_name,
+    check_room,
     drop_part,
     file_name,
     finish_part,
@@ -85,6 +87,39 @@ def test_a_take_whose_process_died_is_finished_by_its_part(tmp_path):
     drop_part(tmp_path, left)
     assert not part.exists()
     assert np.load(tmp_path / "take_two.npy").shape == (3, 4, 3)
+
+
+@pytest.mark.parametrize("size", [0, 20, None])
+def test_a_take_without_a_frame_is_none_whenever_its_process_died(tmp_path, size):
+    TakeWriter(tmp_path, "two", "points", [], (4, 3), MODES)
+    part = tmp_path / f"{file_name('two', 'points')}{PART}"
+    if size is not None:
+        part.write_bytes(part.read_bytes()[:size])
+    assert check_name("two", tmp_path, "points") == "two-2"
+    assert finish_part(part) is None
+    assert not part.exists()
+
+
+def test_a_clock_that_is_set_back_costs_no_frame(tmp_path):
+    writer = TakeWriter(tmp_path, "two", "points", [], (4, 3), MODES)
+    seconds = np.array([100.0, 100.02, 100.04, 3.0, 3.02, 3.01, 3.04])
+    for number, when in enumerate(seconds):
+        writer.add(when, np.full((4, 3), number, np.float32))
+    left = writer.finish()
+    assert (left.frames, left.seconds) == (6, pytest.approx(0.10))
+    found = np.load(tmp_path / left.file)
+    np.testing.assert_array_equal(found[:, 0, 0], [0, 1, 2, 3, 4, 6])
+
+
+def test_a_session_leaves_no_more_than_its_job_may(tmp_path):
+    files = [tmp_path / f"take_{number}.npz" for number in range(3)]
+    for path in files:
+        path.write_bytes(bytes(10))
+    check_room(files)
+    for limits in (TakeLimits(most_takes=3), TakeLimits(most_left_bytes=30)):
+        with pytest.raises(InputError) as caught:
+            check_room(files, limits)
+        assert caught.value.code == "live.takes_full"
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ def run(task: Task) -> None:
     assert channel is not None
 
     def say(**words: object) -> None:
-        channel.send(Message(json.dumps(words).encode(), True))
+        channel.send(Message.of(words))
 
     say(type="preparing", phase="skin", fraction=0.5)
     for name in ("live_skin.npz", "live_samples.npz"):

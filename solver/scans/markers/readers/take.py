@@ -96,8 +96,8 @@ class Take:
             residual=None if self.residual is None else self.residual[:, columns],
         )
 
-    def save(self, path: Path) -> None:
-        """Write the take as NPZ."""
+    def save(self, path: Path, *, packed: bool = True) -> None:
+        """Write the take as NPZ, ``packed`` or quickly."""
         header = {
             "format": FORMAT,
             "file": self.file,
@@ -114,7 +114,7 @@ class Take:
         arrays = {"positions": self.positions, "unlabelled": self.unlabelled}
         further = {"sigma": self.sigma, "residual": self.residual}
         arrays |= {name: values for name, values in further.items() if values is not None}
-        Archive(header, arrays).write(path)
+        Archive(header, arrays).write(path, packed=packed)
 
     @classmethod
     def load(cls, path: Path) -> Take:
