@@ -159,8 +159,8 @@ class _Follower:
                 continue
             photo = each()
             begun = time.perf_counter()
-            point = tracker.step(photo).point
-            found.append(Followed(time.perf_counter() - begun, point))
+            tracker.step(photo)
+            found.append(Followed(time.perf_counter() - begun, tracker.point))
         return found
 
 

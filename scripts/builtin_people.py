@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.template import Template
+from solver.photo.identity import PersonShapes
 from solver.photo.mesh_points import landmark_points
 from solver.photo.other_person import PEOPLE_FILE, DrawnPeople, JudgedPicture, person_shift
 from solver.photo.photo import Photo
@@ -89,6 +90,7 @@ def photographs(template: Template, person: int, detector: FaceDetector) -> Iter
 def draw(template: Template, detector: FaceDetector) -> Iterator[JudgedPicture]:
     """Yield every picture of all people."""
     points = landmark_points(template)
+    shapes = PersonShapes.of(template)
     for person in range(PEOPLE):
         # of those who are left out together, too
         others = [each for each in range(person % FOLDS, PEOPLE, FOLDS) if each != person]
@@ -96,7 +98,9 @@ def draw(template: Template, detector: FaceDetector) -> Iterator[JudgedPicture]:
         for photo in photographs(template, person, detector):
             other = int(random.choice(others))
             shifts = [
-                person_shift(template, neutral_of(template, who), photo, points)
+                person_shift(
+                    shapes, template.skin.with_vertices(neutral_of(template, who)), photo, points
+                )
                 for who in (person, other)
             ]
             if shifts[0] is not None and shifts[1] is not None:

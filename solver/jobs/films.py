@@ -31,14 +31,15 @@ from solver.jobs.sequences import (
 from solver.kinds.fit_photo import FitPhoto
 from solver.live.landmarks import IMAGE_AXES
 from solver.photo.camera import PinholeCamera
-from solver.photo.expression import PhotoExpression, marks_of, read_neutral
-from solver.photo.film import FilmFrame, FilmOptions, FilmTracker, as_expression, find_focal
+from solver.photo.detect import Box
+from solver.photo.expression import marks_of, read_neutral
+from solver.photo.film import FilmOptions, FilmTracker, find_focal
 from solver.photo.film_marks import FilmMarks, find_marks
 from solver.photo.footage import Footage, Pictures, open_film
 from solver.photo.mesh_points import landmark_points
 from solver.photo.oddities import find_closed_eyes
 from solver.photo.photo import Photo
-from solver.photo.report import photo_picture
+from solver.photo.report import SeenFace, photo_picture
 from solver.progress import Step, part_of
 from solver.registration.landmarks import landmark_vertices
 from solver.rig.frames import Status, sequence_report, write_sequence
@@ -68,12 +69,12 @@ class FilmFitter(FrameFitter[ShapeFrame]):
         self._marks = marks
         self._tracker = tracker
         self._face: ShapeFace[Any] = tracker.face
-        self._state = self._face.rest()
         self.camera: PinholeCamera | None = None  # in the world
+        self.faults: dict[int, str] = {}  # why frames could not be fitted
         self.skin = AnimatedSkin(self._face.face.model.skin)
         self._shown = {numbers[k] for k in np.linspace(0, len(numbers) - 1, MOST_SHOTS).astype(int)}
-        self._last: tuple[Photo, FilmFrame[Any]] | None = None  # what was fitted or taken up last
-        self.shots: list[tuple[list[Photo], PhotoExpression[Any]]] = []
+        self._seen: Photo | None = None  # that the face is fitted to as it is
+        self.shots: list[SeenFace] = []
 
     @override
     def read(self, folder: Path) -> list[ShapeFrame]:
@@ -87,42 +88,40 @@ class FilmFitter(FrameFitter[ShapeFrame]):
 
     @override
     def take_up(self, frame: ShapeFrame, position: int) -> None:
-        self._last = None
+        self._seen = None
         if frame.status != "fitted" or self.camera is None:
             self._tracker.pause()
             return
-        photo = self._photo(frame.frame)
         tracker = self._tracker
         head = small_motion(frame.head)
+        is_shown = frame.frame in self._shown
+        photo = self._photo(frame.frame) if is_shown or tracker.needs_look else None
         if tracker.needs_look and photo is not None:
             tracker.step(photo)  # light and albedo are those of the first frame
         with suppress(SolveError):  # out of reach: the next frame begins where this one did
-            found = tracker.begin(frame.controls, self.camera.with_head(head))
-            self._state = found.point.state
-            if photo is not None and frame.frame in self._shown:
-                self._last = photo, found
+            tracker.begin(frame.controls, self.camera.with_head(head))
+            self._seen = photo if is_shown else None
 
     @override
     def fit(self, number: int) -> ShapeFrame:
         begun = time.perf_counter()
         photo = self._photo(number)
-        self._last = None
-        found = None
+        self._seen = None
+        steps = 0
         status: Status = "unseen"
-        if photo is not None:
-            try:
-                found = self._tracker.step(photo)
-                status = "fitted"
-            except (InputError, SolveError, np.linalg.LinAlgError):
-                status = "kept"
-        else:
+        if photo is None:
             self._tracker.pause()
-        if found is not None and photo is not None:
-            self._state = found.point.state
-            self._last = (photo, found)
-            seen_by = found.point.cameras[0]
-            self.camera = self.camera or replace(seen_by, rotation=IMAGE_AXES)
-        return self._frame(number, status, found, photo, time.perf_counter() - begun)
+        else:
+            try:
+                steps = self._tracker.step(photo)
+                status = "fitted"
+                self._seen = photo
+            except (InputError, SolveError, np.linalg.LinAlgError) as error:
+                status = "kept"
+                self.faults[number] = str(error)
+        if self.camera is None and self._tracker.point is not None:
+            self.camera = replace(self._tracker.point.cameras[0], rotation=IMAGE_AXES)
+        return self._frame(number, status, steps, photo, time.perf_counter() - begun)
 
     def _photo(self, number: int) -> Photo | None:
         """Return a frame with its landmarks; None where no face is seen."""
@@ -132,46 +131,43 @@ class FilmFitter(FrameFitter[ShapeFrame]):
         return replace(found, landmarks=self._marks.landmarks[number])
 
     def _frame(
-        self,
-        number: int,
-        status: Status,
-        found: FilmFrame[Any] | None,
-        photo: Photo | None,
-        seconds: float,
+        self, number: int, status: Status, steps: int, photo: Photo | None, seconds: float
     ) -> ShapeFrame:
         """Return the record of a frame."""
         points = self._tracker.points
+        point = self._tracker.point
         shown = 0.0
         off = np.zeros(0)
         head = IDENTITY
-        if self._tracker.point is not None and self.camera is not None:
-            head = self.camera.head_of(self._tracker.point.cameras[0])
+        if point is not None and self.camera is not None:
+            head = self.camera.head_of(point.cameras[0])
         if photo is not None:
             known, given = marks_of(photo, points)
             shown = len(given) / len(points.names)
-            if found is not None:
-                camera = found.point.cameras[0]
-                places = known.at(found.point.skin)
-                seen = camera.project(places)
+            if status == "fitted" and point is not None:
+                camera = point.cameras[0]
+                seen = camera.project(known.at(point.skin))
                 apart = np.linalg.norm(seen[:, :2] - given, axis=1)
                 off = apart * seen[:, 2] / camera.focal.mean()
         return ShapeFrame(
             frame=number,
             status=status,
-            **shape_controls(self._state),
+            **shape_controls(self._tracker.state),
             head=head.twist.round(DECIMALS),
             **distance_figures(off),
             coverage=round(shown, 4),
-            iterations=0 if found is None else found.steps,
+            iterations=steps,
             seconds=round(seconds, 4),
         )
 
     @override
     def show(self, frame: ShapeFrame, position: int) -> None:
-        self.skin.add(frame, self._face.skin(self._state))
-        if self._last is not None and frame.frame in self._shown:
-            photo, found = self._last
-            self.shots.append(([photo], as_expression(found, self._tracker.look)))
+        tracker = self._tracker
+        self.skin.add(frame, self._face.skin(tracker.state))
+        if self._seen is not None and tracker.point is not None and frame.frame in self._shown:
+            (camera,) = tracker.point.cameras
+            look = tracker.look and tracker.look.turned(camera.rotation.T)
+            self.shots.append(SeenFace(self._seen, camera, tracker.point.skin, look))
 
     @override
     def beside(self) -> dict[str, Any]:
@@ -219,15 +215,12 @@ def _fit(
     model = face.model
     numbers = frame_numbers(source.name, range(len(source)), given)
     neutral = _neutral(given, source)
-    searched = sorted({*numbers, *([] if neutral is None else [neutral])})
     looking = part_of(progress, 0.0, FOUND)
 
-    def show(number: int) -> None:
-        looking(Step("landmarks", searched.index(number) / len(searched)))
+    def show(part: float) -> None:
+        looking(Step("landmarks", part))
 
-    # the one box that is given is of the first frame that shows the face
-    box = as_box(next(iter(given.boxes.values()), None))
-    marks = find_marks(source, searched, find_landmarker, box, show)
+    marks = find_marks(source, numbers, find_landmarker, _box(given, source), neutral, show)
     tracker = _tracker(driven, source, marks, points, options, neutral)
     fitter = FilmFitter(source, marks, tracker, numbers)
     done = fit_frames(task, numbers, fitter, source.name)
@@ -239,6 +232,7 @@ def _fit(
         "system": "T" if given.model == "tracks" else "B",
         "film": {"size": list(marks.size), "camera": fitter.camera_values},
         "missing": {str(number): code for number, code in marks.missing.items()},
+        "faults": {str(number): reason for number, reason in fitter.faults.items()},
         "notices": [each.as_dict() for each in closed],
     }
     animated, report["files"] = write_animated(out, fitter.skin, model, given.fps)
@@ -259,6 +253,19 @@ def _open(task: Task[FitPhoto], landmarks: Sequence[str], opened: ExitStack) -> 
     if not task.captures:
         raise InputError("job.missing", "the job needs a film, or its pictures", expected="film")
     return Pictures("the film", task.captures, task.facts, task.masks, landmarks)
+
+
+def _box(given: FitPhoto, source: Footage) -> Box | None:
+    """Return the box of the face that is meant: of the first frame that shows it."""
+    if len(given.boxes) > 1:
+        message = f"options.boxes: {len(given.boxes)} are given, a film has one: of its first frame"
+        raise InputError("photo.neutral", message, found=len(given.boxes), expected=1)
+    for name, box in given.boxes.items():
+        if source.number(name) is None:
+            message = f"options.boxes: {source.name} has no frame {name!r}"
+            raise InputError("photo.neutral", message, photo=name)
+        return as_box(box)
+    return None
 
 
 def _neutral(given: FitPhoto, source: Footage) -> int | None:
@@ -292,9 +299,13 @@ def _tracker(
     plain = PlainFace(face.face.model, face.tracks)
     focal = find_focal(plain, told, points, options) if known is None else known.focal
     tracker = FilmTracker(face, points, focal, options)
-    if neutral is not None and neutral in marks.landmarks:
+    if neutral is not None:
+        if code := marks.missing.get(neutral):
+            message = f"options.neutral: frame {neutral} shows no face that can be used ({code})"
+            raise InputError("photo.neutral", message, photo=str(neutral), found=code)
         at_rest = tracker.known(photo(neutral))
         look = read_neutral(face, at_rest, points, options.expression)
         tracker.points = look.points
-        tracker.look = look.appearance
+        if look.appearance is not None:
+            tracker.look = look.appearance.turned(look.camera.rotation)
     return tracker

@@ -35,7 +35,7 @@ from solver.photo.oddities import find_closed_eyes
 from solver.photo.other_person import find_other_person, somebody_else
 from solver.photo.photo import Photo
 from solver.photo.placed import Reprojection, find_contradiction, reprojections
-from solver.photo.report import photo_figures, photo_picture
+from solver.photo.report import photo_figures, photo_picture, seen_faces
 from solver.progress import Step, part_of
 from solver.rig import Rig, ShapeFit, ShapeSystem
 from solver.rig.report import known_information
@@ -74,6 +74,8 @@ def run(task: Task[FitPhoto]) -> list[Path]:
         check_held(face)
         driven = _face(given, rig, tracks, linear)
         film = FilmOptions(_options(given))
+        steps = min(film.stop.iterations, given.max_iterations)
+        film = replace(film, stop=replace(film.stop, iterations=steps))
         return fit_film(task, driven, face, template, film)
     photos, findings = read_faces(task, template, given.boxes)
     moments = _moments(given, photos)
@@ -125,8 +127,12 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     own = [task.out / name for name in ("photo.json", "photo.png")]
     notices = [each.as_dict() for found in findings.values() for each in found]
     write_json(own[0], {"model": given.model, "notices": notices, "expressions": figures})
-    sheets = [([photos[each] for each in moments[name]], results[name]) for name in results]
-    photo_picture(model, sheets, points, own[1])
+    seen = [
+        each
+        for name, result in results.items()
+        for each in seen_faces([photos[photo] for photo in moments[name]], result)
+    ]
+    photo_picture(model, seen, points, own[1])
     ending = part_of(progress, 0.5)
     information = known_information(rig)
     files = fits.leave_rig(face, whole, settings, task.out, ending, information)
@@ -146,10 +152,16 @@ def _moments(given: FitPhoto, photos: Mapping[str, Photo]) -> dict[str, list[str
                 message = f"options.moments: {each!r} is named twice, and shows one moment"
                 raise InputError("photo.moment", message, expression=name, photo=each)
             seen.add(each)
+    alone = {name: [name] for name in photos if name not in seen}
+    for name in given.moments.keys() & alone.keys():
+        message = (
+            f"options.moments.{name}: a photograph that is in no moment is called {name!r} too: "
+            "give the moment another name, or that photograph to one"
+        )
+        raise InputError("photo.moment", message, expression=name, photo=name)
     if given.neutral and given.neutral not in photos:
         message = f"options.neutral: there is no photograph {given.neutral!r}: {known} are"
         raise InputError("photo.neutral", message, photo=given.neutral)
-    alone = {name: [name] for name in photos if name not in seen}
     return {name: list(taken) for name, taken in {**given.moments, **alone}.items()}
 
 
@@ -199,8 +211,7 @@ class _Fitter:
         told = tuple(find_contradiction(placed))
         shape = self._shape(name, found.fit.point.state, told)
         seconds = time.perf_counter() - begun
-        steps = found.landmarks.steps + found.fit.steps
-        return _Fitted(replace(shape, seconds=seconds, iterations=steps), found, placed)
+        return _Fitted(replace(shape, seconds=seconds, iterations=found.steps), found, placed)
 
     def _shape(self, name: str, state: State, notices: tuple[Finding, ...]) -> ShapeFit:
         """Return an expression without a scan: its target is nowhere."""

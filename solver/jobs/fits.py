@@ -127,7 +127,7 @@ def find_oddities(
 
 def refuse_failures(fits: Sequence[ExpressionFit]) -> None:
     """Raise ``fit.failed`` if no expression could be fitted at all: there is nothing to keep."""
-    if all(fit.status == "failed" and (fit.activations == IDENTITY).all() for fit in fits):
+    if all(fit.status == "failed" and np.allclose(fit.activations, IDENTITY) for fit in fits):
         reasons = [f"{fit.name}: {notice.message}" for fit in fits for notice in fit.notices]
         message = f"no expression could be fitted ({'; '.join(reasons)})"
         raise SolveError("fit.failed", message)

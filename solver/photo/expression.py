@@ -18,9 +18,9 @@ import numpy as np
 from solver.anatomy.skin_points import SkinPoints
 from solver.drawing.render import GAMMA
 from solver.errors import InputError
-from solver.fitting.least_squares import Listener
+from solver.fitting.least_squares import LeastSquaresSolution, Listener
 from solver.photo.camera import PinholeCamera
-from solver.photo.fit import FocalPrior, PhotoFit, PhotoFitOptions, PhotoView, fit_photos
+from solver.photo.fit import FocalPrior, PhotoFitOptions, PhotoPoint, PhotoView, fit_photos
 from solver.photo.light import (
     Appearance,
     LightOptions,
@@ -28,8 +28,8 @@ from solver.photo.light import (
     find_appearance,
     visible_samples,
 )
-from solver.photo.photo import Photo
-from solver.photo.pose import place_camera
+from solver.photo.photo import Photo, square_around
+from solver.photo.pose import LEAST_POINTS, place_camera
 from solver.photo.shading import ShadingTerm, SmoothImage, blocked_light, facing
 from solver.photo.terms import CurveTerm, ImageTerm, LandmarkTerm
 from solver.registration.detector import LINES
@@ -96,9 +96,15 @@ class ExpressionOptions:
 class PhotoExpression(Generic[State]):
     """A fit to photographs, and what each of them showed the skin to look like."""
 
-    fit: PhotoFit[State]
-    landmarks: PhotoFit[State]  # the fit to landmarks alone, which it begins with
+    fit: LeastSquaresSolution[PhotoPoint[State]]
+    # the fit to landmarks alone, which it begins with
+    landmarks: LeastSquaresSolution[PhotoPoint[State]]
     appearances: tuple[Appearance, ...]  # one for each photograph; none without shading
+
+    @property
+    def steps(self) -> int:
+        """The steps of both fits, which are one without shading."""
+        return self.landmarks.steps + (self.fit.steps if self.appearances else 0)
 
 
 def fit_expression(
@@ -137,7 +143,12 @@ def fit_expression(
         shaded.append(replace(view, camera=own, terms=(*view.terms, term)))
         looks.append(look)
     point = by_landmarks.point
-    found = fit_photos(face, shaded, point.state, point.head, options.fit, listen)
+
+    def further(step: int, value: float) -> None:
+        if listen is not None:
+            listen(by_landmarks.steps + step, value)
+
+    found = fit_photos(face, shaded, point.state, point.head, options.fit, further)
     return PhotoExpression(found, by_landmarks, tuple(looks))
 
 
@@ -145,12 +156,13 @@ def fit_expression(
 class NeutralLook:
     """What a photograph of the neutral face tells of all others of the same person.
 
-    ``points`` are where the detector marks them on this person; ``appearance`` is light and albedo,
-    None without shading.
+    ``points`` are where the detector marks them on this person; ``appearance`` is light and albedo
+    as the ``camera`` sees them, None without shading.
     """
 
     points: SkinPoints
     appearance: Appearance | None
+    camera: PinholeCamera
 
 
 def read_neutral(
@@ -180,7 +192,7 @@ def read_neutral(
         for name, offset, cosine in zip(known.names, offsets, shown, strict=True)
         if cosine > options.landmarks.least_cosine
     }
-    return NeutralLook(points.moved(own), next(iter(found.appearances), None))
+    return NeutralLook(points.moved(own), next(iter(found.appearances), None), camera)
 
 
 def shading_of(
@@ -198,11 +210,15 @@ def shading_of(
     ``vertices`` of the skin are compared; ``blocked`` (V, 9) is what it blocks of the light.
     Raises :class:`InputError` (``photo.no_skin``) where the picture shows none of it.
     """
-    pixels = np.asarray(photo.pixels, np.float64) ** GAMMA
+    left, top, right, bottom = square_around(camera.project(skin.vertices[vertices])[:, :2], photo)
+    part = slice(top, bottom), slice(left, right)
+    pixels = np.asarray(photo.pixels[part], np.float64) ** GAMMA
+    mask = None if photo.mask is None else photo.mask[part]
     px_per_mm = camera.focal.mean() / float(np.median(camera.project(skin.vertices)[:, 2]))
     detail = max(options.detail_mm * px_per_mm, 0.7)
     every = max(round(detail), 1)
-    samples = visible_samples(skin, vertices, camera, pixels, every, photo.mask, options.samples)
+    inside = replace(camera, centre=camera.centre - (left, top))
+    samples = visible_samples(skin, vertices, inside, pixels, every, mask, options.samples)
     if len(samples.corners) < options.samples.least:
         message = (
             f"{photo.name}: too little skin is left to compare with the picture: what of the face "
@@ -210,14 +226,14 @@ def shading_of(
             "shading"
         )
         raise InputError("photo.no_skin", message, photo=photo.name)
-    image = SmoothImage.blurred(pixels, detail)
+    image = SmoothImage.blurred(pixels, detail, (left, top))
     colours = image.at(camera.project(samples.of(skin.vertices))[:, :2])
     look = given or find_appearance(skin, samples, colours, blocked, options.light)
     term = ShadingTerm(
         image, skin.faces, samples, samples.of(look.albedo), samples.of(blocked), look.light
     )
-    left = np.sqrt(np.mean(term.residual(skin.vertices, camera) ** 2))
-    noise = max(options.least_noise * float(colours.mean()), float(left))
+    unexplained = float(np.sqrt(np.mean(term.residual(skin.vertices, camera) ** 2)))
+    noise = max(options.least_noise * float(colours.mean()), unexplained)
     count = max(len(samples.corners) / options.independent, 1.0)
     return replace(term, noise=noise * np.sqrt(count)), look
 
@@ -240,6 +256,14 @@ def place_views(
         known = known.select(
             [name for name, is_seen in zip(known.names, shown, strict=True) if is_seen]
         )
+        if len(known.names) < LEAST_POINTS:
+            message = (
+                f"{photo.name}: the camera sees {len(known.names)} of its {len(shown)} landmarks "
+                f"from the front, at least {LEAST_POINTS} are needed: left and right may be "
+                "exchanged"
+            )
+            about = {"found": len(known.names), "expected": LEAST_POINTS}
+            raise InputError("photo.pose", message, photo=photo.name, **about)
         pixels = pixels[shown]
         places = places[shown]
         mm = _noise_mm(known, options.landmarks)

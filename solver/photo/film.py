@@ -22,12 +22,12 @@ from scipy.spatial.transform import Rotation
 from typing_extensions import override
 
 from solver.anatomy.skin_points import SkinPoints
+from solver.errors import InputError, SolveError
 from solver.fitting.least_squares import (
     LeastSquaresProblem,
     LeastSquaresStep,
     LinearModel,
     StopOptions,
-    Termination,
     TrustRegion,
     minimise,
 )
@@ -35,13 +35,13 @@ from solver.mechanics.boundary import JAW_FREEDOM
 from solver.photo.camera import POSE_FREEDOM, PinholeCamera
 from solver.photo.expression import (
     ExpressionOptions,
-    PhotoExpression,
     ShadingOptions,
+    begin_camera,
     fit_expression,
     place_views,
     shading_of,
 )
-from solver.photo.fit import PhotoFit, PhotoPoint, PhotoProblem, PhotoView
+from solver.photo.fit import PhotoPoint, PhotoProblem, PhotoView
 from solver.photo.light import Appearance
 from solver.photo.photo import Photo
 from solver.photo.shading import blocked_light
@@ -77,37 +77,38 @@ class FilmOptions:
     focal_frames: int = 7  # that tell a focal length which nobody knows
 
 
-@dataclass(frozen=True)
-class FilmFrame(Generic[State]):
-    """A frame that was fitted: face and head, and the steps to it."""
-
-    point: PhotoPoint[State]
-    steps: int
-    objective: float
-
-
 def find_focal(
     face: PlainFace, photos: Sequence[Photo], points: SkinPoints, options: FilmOptions
 ) -> Floats:
     """Return the focal length (2,), px, of a film: the median of what some of its frames tell.
 
-    They are fitted by plain shapes and landmarks, which is enough for that and quick. Raises as
-    :func:`~solver.photo.expression.fit_expression`.
+    They are fitted by plain shapes and landmarks, which is enough for that and quick. One that
+    cannot be fitted tells nothing; raises as :func:`~solver.photo.expression.fit_expression` where
+    none can.
     """
     quick = replace(options.expression, shading=None)
-    found = [fit_expression(face, [photo], points, None, quick) for photo in photos]
-    return np.asarray(
-        np.exp(np.median([np.log(each.fit.point.cameras[0].focal) for each in found], axis=0))
-    )
+    told = []
+    fault: Exception | None = None
+    for photo in photos:
+        try:
+            found = fit_expression(face, [photo], points, None, quick)
+        except (InputError, SolveError, np.linalg.LinAlgError) as error:
+            fault = error
+        else:
+            told.append(np.log(found.fit.point.cameras[0].focal))
+    if fault is not None and not told:
+        raise fault
+    return np.asarray(np.exp(np.median(told, axis=0)))
 
 
 class FilmTracker(Generic[State]):
     """Fits the frames of a film in their order.
 
     All pictures have the ``focal`` length (2,), px. ``point`` is the last frame that was fitted:
-    None before the first. ``points`` are where landmarks are on the skin. ``look`` is the light and
-    the albedo that shading is compared with, if the options have it: of another picture in the same
-    light; None: it is found in the first frame.
+    None before the first. ``points`` are where landmarks are on the skin. ``look`` is the light, in
+    the camera's axes, and the albedo that shading is compared with, if the options have it: of
+    another picture in the same light, else found in the first frame. Camera and light stand still
+    while the head turns.
     """
 
     def __init__(
@@ -116,38 +117,43 @@ class FilmTracker(Generic[State]):
         points: SkinPoints,
         focal: Floats,
         options: FilmOptions = FilmOptions(),
-        look: Appearance | None = None,
     ) -> None:
         self.face = face
         self.points = points
         self.focal = focal
         self.options = options
-        self.look = look
+        self.look: Appearance | None = None
         self.point: PhotoPoint[State] | None = None
+        self._rest = face.rest()
         self._frames = 0  # since then
+
+    @property
+    def state(self) -> State:
+        """The face as it is: at rest before the first frame."""
+        return self._rest if self.point is None else self.point.state
 
     @property
     def needs_look(self) -> bool:
         """Whether light and albedo are still to be found in a first frame."""
         return self.options.expression.shading is not None and self.look is None
 
-    def begin(self, q: Floats, camera: PinholeCamera) -> FilmFrame[State]:
+    def begin(self, q: Floats, camera: PinholeCamera) -> PhotoPoint[State]:
         """Go on from controls q (K + 5,) and a camera that a frame was fitted with before.
 
         Raises :class:`~solver.errors.SolveError` where the flesh finds no way to them; all stays as
         it was.
         """
-        state = self.face.move(self.face.rest() if self.point is None else self.point.state, q)
+        state = self.face.move(self.state, q)
         self.point = PhotoPoint(state, self.face.skin(state), IDENTITY, (camera,))
         self._frames = 0
-        return FilmFrame(self.point, 0, 0.0)
+        return self.point
 
     def pause(self) -> None:
         """Pass over a frame in which no face is seen."""
         self._frames += 1
 
-    def step(self, photo: Photo) -> FilmFrame[State]:
-        """Fit the next frame.
+    def step(self, photo: Photo) -> int:
+        """Fit the next frame; ``point`` has it then. Return the steps to it.
 
         Raises :class:`~solver.errors.SolveError` where the flesh finds no way, and
         :class:`~solver.errors.InputError` as :func:`~solver.photo.expression.fit_expression`; the
@@ -155,10 +161,11 @@ class FilmTracker(Generic[State]):
         """
         self._frames += 1
         seen = self.known(photo)
-        found = self._first(seen) if self.point is None else self._next(seen, self.point)
-        self.point = found.point
+        self.point, steps = (
+            self._first(seen) if self.point is None else self._next(seen, self.point)
+        )
         self._frames = 0
-        return found
+        return steps
 
     def known(self, photo: Photo) -> Photo:
         """Return a frame with what is known of the film's camera."""
@@ -166,16 +173,19 @@ class FilmTracker(Generic[State]):
         camera = PinholeCamera(self.focal, centre, np.eye(3), np.zeros(3))
         return replace(photo, camera=camera, is_placed=False)
 
-    def _first(self, photo: Photo) -> FilmFrame[State]:
+    def _first(self, photo: Photo) -> tuple[PhotoPoint[State], int]:
         options = self.options.expression
-        lights = None if self.look is None else {photo.name: self.look}
+        lights = None
+        if self.look is not None:
+            begun, _ = begin_camera(photo, self.points, self.face.skin(self.state), options)
+            lights = {photo.name: self.look.turned(begun.rotation.T)}
         found = fit_expression(self.face, [photo], self.points, None, options, lights)
         if found.appearances:
-            self.look = found.appearances[0]
-        steps = found.landmarks.steps + (found.fit.steps if found.appearances else 0)
-        return FilmFrame(found.fit.point, steps, found.fit.objective)
+            (look,) = found.appearances
+            self.look = look.turned(found.fit.point.cameras[0].rotation)
+        return found.fit.point, found.steps
 
-    def _next(self, photo: Photo, before: PhotoPoint[State]) -> FilmFrame[State]:
+    def _next(self, photo: Photo, before: PhotoPoint[State]) -> tuple[PhotoPoint[State], int]:
         options = self.options.expression
         skin = self.face.face.model.skin.with_vertices(before.skin)
         (view,), _head = place_views([photo], self.points, skin, options)
@@ -191,28 +201,28 @@ class FilmTracker(Generic[State]):
         begun = replace(before, cameras=(view.camera,))
         placed = minimise(held, begun, TrustRegion(fit.damping), self.options.stop).point
         if options.shading is not None and self.look is not None:
-            view = self._shade(photo, view, placed, options.shading)
+            look = self.look.turned(placed.cameras[0].rotation.T)
+            view = self._shade(photo, view, placed, look, options.shading)
         walk = RandomWalk(before, noise, sd, follows_head=not is_cut)
         problem = FrameProblem(PhotoProblem(self.face, (view,), fit, moves_face=True), walk)
         found = minimise(problem, placed, TrustRegion(fit.damping), self.options.stop)
-        return FilmFrame(found.point, found.steps, found.value)
+        return found.point, found.steps
 
     def _shade(
-        self, photo: Photo, view: PhotoView, point: PhotoPoint[State], options: ShadingOptions
+        self,
+        photo: Photo,
+        view: PhotoView,
+        point: PhotoPoint[State],
+        look: Appearance,
+        options: ShadingOptions,
     ) -> PhotoView:
         """Return the view with the light that was found on the face of the frame before, too."""
         model = self.face.face.model
         skin = model.skin.with_vertices(point.skin)
         term, _look = shading_of(
-            photo, point.cameras[0], skin, model.face, blocked_light(skin), options, self.look
+            photo, point.cameras[0], skin, model.face, blocked_light(skin), options, look
         )
         return replace(view, terms=(*view.terms, term))
-
-
-def as_expression(frame: FilmFrame[State], look: Appearance | None) -> PhotoExpression[State]:
-    """Return a frame as the fit of one photograph, as reports show it."""
-    fit = PhotoFit(frame.point, frame.objective, frame.steps, Termination.CONVERGED)
-    return PhotoExpression(fit, fit, () if look is None else (look,))
 
 
 def turn_and_shift(before: PinholeCamera, after: PinholeCamera) -> Floats:

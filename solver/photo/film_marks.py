@@ -1,16 +1,19 @@
 """The landmarks of all frames of a film, found before any of them is fitted.
 
-A face is looked for where it was in the frame before, and in all of the picture where it is not
-seen there. What is seen for a moment alone is no face: detectors take a lamp or a hand for one.
+A face is looked for where it was in the frame before. Where it is not seen there, one elsewhere is
+the same if it is near, or if it has been away for some frames: somebody else may be in the picture.
+What is seen for a moment alone is no face: detectors take a lamp or a hand for one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
+
+import numpy as np
 
 from solver.errors import InputError
 from solver.photo.detect import Box, FaceLimits, PhotoFace, find_face
@@ -34,6 +37,8 @@ class MarkOptions:
     # a face is known from frame to frame, so that a smaller one will do than in a photograph
     limits: FaceLimits = field(default_factory=lambda: FaceLimits(eyes_px=(60.0, 20.0)))
     least_run: int = 3  # frames after one another in which a face has to be seen
+    near: float = 1.0  # from its place in the frame before, of its size: the same face ...
+    away: int = 5  # ... and anywhere after so many frames in which it is not seen
 
 
 MARK_OPTIONS = MarkOptions()
@@ -53,23 +58,26 @@ def find_marks(
     numbers: Sequence[int],
     landmarker: Callable[[str], Path],
     box: Box | None = None,
-    show: Callable[[int], None] = lambda _number: None,
+    neutral: int | None = None,
+    show: Callable[[float], None] = lambda _part: None,
     options: MarkOptions = MARK_OPTIONS,
 ) -> FilmMarks:
     """Return the landmarks of the frames ``numbers``: those beside them, else those found.
 
     ``landmarker`` gives the detector's file, and is asked only where a frame, whose name it gets,
-    has no landmarks. ``box`` says which face is meant in the first frame that shows one; ``show``
-    is told of each frame. Raises :class:`InputError`: ``film.sizes`` for pictures of different
-    sizes, ``photo.faces`` where several are seen and no box says which, ``photo.no_face`` where no
-    frame has one, and what is wrong with a picture.
+    has no landmarks. ``box`` says which face is meant in the first frame that shows one: until it
+    is seen there, nobody else is. ``neutral`` is one more frame, which is not of the film's run.
+    ``show`` is told how far it is. Raises :class:`InputError`: ``film.sizes`` for pictures of
+    different sizes, ``photo.faces`` where several are seen and no box says which,
+    ``photo.no_face`` where no frame has one, and what is wrong with a picture.
     """
     found: dict[int, Mapping[str, Floats]] = {}
     missing: dict[int, str] = {}
     seen = set[int]()  # by the detector
     size: tuple[int, int] | None = None
+    searched = sorted({*numbers} if neutral is None else {*numbers, neutral})
     with _Finder(landmarker, box, options) as finder:
-        for number in numbers:
+        for done, number in enumerate(searched, 1):
             photo = footage.photo(number)
             size = size or photo.size
             if photo.size != size:
@@ -79,13 +87,16 @@ def find_marks(
                 )
                 raise InputError("film.sizes", message, photo=photo.name, found=list(photo.size))
             try:
-                found[number] = photo.landmarks or finder.find(photo)
-                seen |= set() if photo.landmarks else {number}
+                if photo.landmarks:
+                    found[number] = photo.landmarks
+                else:
+                    found[number] = finder.find(photo)
+                    seen.add(number)
             except InputError as error:
                 if error.code not in UNSEEN or (error.code == "photo.faces" and not found):
                     raise
                 missing[number] = error.code
-            show(number)
+            show(done / len(searched))
     assert size is not None, "frames were chosen"
     for number in (each for each in _brief(numbers, found, options.least_run) if each in seen):
         del found[number]
@@ -97,10 +108,7 @@ def find_marks(
 
 
 class _Finder:
-    """Finds the face of one frame after the other; the detector is there once it is needed.
-
-    Where it is not seen in a box, all of the picture is searched.
-    """
+    """Finds the face of one frame after the other; the detector is there once it is needed."""
 
     def __init__(
         self, landmarker: Callable[[str], Path], box: Box | None, options: MarkOptions
@@ -108,6 +116,8 @@ class _Finder:
         self._landmarker = landmarker
         self._options = options
         self._box = box
+        self._is_known = False  # whether the face has been seen
+        self._away = 0  # frames since then
         self._detector = ExitStack()
         self._open: FaceDetector | None = None
 
@@ -121,15 +131,33 @@ class _Finder:
         """Return a photograph's landmarks; raises as :func:`~solver.photo.detect.find_face`."""
         if self._open is None:
             self._open = self._detector.enter_context(FaceDetector(self._landmarker(photo.name)))
-        limits = self._options.limits
-        if self._box is not None:
-            with suppress(InputError):
-                return self._keep(find_face(photo, self._open, self._box, limits))
-        return self._keep(find_face(photo, self._open, None, limits))
-
-    def _keep(self, face: PhotoFace) -> Mapping[str, Floats]:
+        self._away += 1
+        face = self._look(photo, self._open)
         self._box = face.box
+        self._is_known = True
+        self._away = 0
         return face.landmarks
+
+    def _look(self, photo: Photo, detector: FaceDetector) -> PhotoFace:
+        options = self._options
+        if self._box is None:
+            return find_face(photo, detector, None, options.limits)
+        try:
+            return find_face(photo, detector, self._box, options.limits)
+        except InputError as error:
+            if error.code != "photo.no_face" or not self._is_known:
+                raise
+            face = find_face(photo, detector, None, options.limits)
+            if self._away <= options.away and _apart(face.box, self._box) > options.near:
+                raise
+            return face
+
+
+def _apart(box: Box, before: Box) -> float:
+    """Return how far the middle of a box is from where it was before, by its size then."""
+    corners, others = np.reshape(box, (2, 2)), np.reshape(before, (2, 2))
+    moved = np.linalg.norm(corners.mean(axis=0) - others.mean(axis=0))
+    return float(moved / np.ptp(others, axis=0).max())
 
 
 def _brief(numbers: Sequence[int], found: Collection[int], least: int) -> list[int]:

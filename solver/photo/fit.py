@@ -28,10 +28,10 @@ from solver.fitting.least_squares import (
     BoxModel,
     DampingOptions,
     LeastSquaresProblem,
+    LeastSquaresSolution,
     LeastSquaresStep,
     Listener,
     StopOptions,
-    Termination,
     TrustRegion,
     minimise,
 )
@@ -137,16 +137,6 @@ class PhotoPoint(Generic[State]):
     cameras: tuple[PinholeCamera, ...]
 
 
-@dataclass(frozen=True)
-class PhotoFit(Generic[State]):
-    """End of a fit: face and cameras, the objective in nats, the steps to it, and why."""
-
-    point: PhotoPoint[State]
-    objective: float
-    steps: int
-    termination: Termination
-
-
 def fit_photos(
     face: ShapeFace[State],
     views: Sequence[PhotoView],
@@ -154,8 +144,8 @@ def fit_photos(
     head: Similarity = IDENTITY,
     options: PhotoFitOptions = PhotoFitOptions(),
     listen: Listener | None = None,
-) -> PhotoFit[State]:
-    """Fit a face and the cameras of ``views`` to them, from rest or from a ``start``.
+) -> LeastSquaresSolution[PhotoPoint[State]]:
+    """Fit a face and the cameras of ``views`` to them, from rest or from a ``start``; nats.
 
     ``head`` is where it begins in the world of placed cameras. Cameras and head are found before
     the face may move. Raises :class:`~solver.errors.SolveError` as
@@ -163,13 +153,11 @@ def fit_photos(
     """
     state = face.rest() if start is None else start
     cameras = [view.camera.with_head(head) if view.is_placed else view.camera for view in views]
-    begun = PhotoPoint(state, face.skin(state), head, tuple(cameras))
-    for moves_face in (False, True):
-        problem = PhotoProblem(face, tuple(views), options, moves_face)
-        search = TrustRegion(options.damping)
-        found = minimise(problem, begun, search, options.stop, listen if moves_face else None)
-        begun = found.point
-    return PhotoFit(begun, found.value, found.steps, found.termination)
+    point = PhotoPoint(state, face.skin(state), head, tuple(cameras))
+    search = TrustRegion(options.damping)
+    held, moving = (PhotoProblem(face, tuple(views), options, moves) for moves in (False, True))
+    point = minimise(held, point, search, options.stop).point
+    return minimise(moving, point, search, options.stop, listen)
 
 
 @dataclass(frozen=True)

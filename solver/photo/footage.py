@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
@@ -64,7 +65,7 @@ class Pictures:
     masks: Mapping[str, Path] = field(default_factory=dict)
     landmarks: Collection[str] = ()  # that a template of one's own has
 
-    @property
+    @cached_property
     def order(self) -> list[str]:
         """The names of the frames."""
         return natural_order(self.paths)
@@ -168,7 +169,11 @@ def open_pictures(path: Path, landmarks: Collection[str], film: str) -> Pictures
     own. Raises :class:`InputError`: ``film.unreadable`` without any or for two of one name,
     ``film.long`` for too many.
     """
-    pictures = [each for each in path.iterdir() if each.suffix.lower() in ROLES["photo"].formats]
+    pictures = [
+        each
+        for each in path.iterdir()
+        if each.suffix.lower() in ROLES["photo"].formats and not each.name.startswith(".")
+    ]
     paths = {each.stem: each for each in pictures}
     for name, count in Counter(each.stem for each in pictures).items():
         if count > 1:

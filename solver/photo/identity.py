@@ -37,7 +37,7 @@ from solver.photo.fit import PhotoFitOptions, PhotoView
 from solver.photo.photo import Photo
 from solver.registration.shape_fit import IGNORED, identity_model
 from solver.registration.topology import topology
-from solver.surface import Floats
+from solver.surface import Floats, Surface
 from solver.tracks.fit import TrackFitOptions
 
 
@@ -82,7 +82,7 @@ def fit_identity(
     ``photo.no_identity`` for a template without shapes of people, and as
     :func:`~solver.photo.expression.fit_expression`.
     """
-    shapes = _Shapes.of(template)
+    shapes = PersonShapes.of(template)
     moments = [replace(photo, is_placed=False) for photo in photos]
     point = _Point.at_rest(shapes, len(photos))
     steps = 0
@@ -124,20 +124,15 @@ class SeenPerson:
 
 
 def see_person(
-    template: Template,
-    neutral: Floats,
-    photo: Photo,
-    points: SkinPoints,
-    options: ExpressionOptions,
+    known: PersonShapes, skin: Surface, photo: Photo, points: SkinPoints, options: ExpressionOptions
 ) -> SeenPerson:
-    """Fit the template's expressions and a camera to the landmarks of a person with known skin.
+    """Fit a template's expressions and a camera to the landmarks of a person with known ``skin``.
 
-    ``neutral`` (V, 3) is that person at rest. Raises :class:`InputError` as
+    ``known`` are the template's shapes, the skin is at rest. Raises :class:`InputError` as
     :func:`~solver.photo.expression.fit_expression`.
     """
-    shapes = _Shapes.of(template).of_person(neutral)
-    seen = template.skin.with_vertices(neutral)
-    (view,), _ = place_views([replace(photo, is_placed=False)], points, seen, options)
+    shapes = known.of_person(skin.vertices)
+    (view,), _ = place_views([replace(photo, is_placed=False)], points, skin, options)
     point = replace(_Point.at_rest(shapes, 1), cameras=(view.camera,))
     for moves_face in (False, True):
         problem = _IdentityProblem(shapes, (view,), IdentityOptions(options), moves_face)
@@ -146,7 +141,7 @@ def see_person(
 
 
 @dataclass(frozen=True)
-class _Shapes:
+class PersonShapes:
     """Shapes of people and of expressions, as columns of motions of the skin."""
 
     mean: Floats  # (V, 3)
@@ -155,7 +150,7 @@ class _Shapes:
     names: tuple[str, ...]  # (K,) of the expressions that a photograph shows
 
     @classmethod
-    def of(cls, template: Template) -> _Shapes:
+    def of(cls, template: Template) -> PersonShapes:
         """Return the shapes of a template; correctives come with what they correct."""
         basis = shapes_of(template)
         known = dict(zip(basis.expression_names, basis.expressions, strict=True))
@@ -169,7 +164,12 @@ class _Shapes:
         columns = motions.reshape(len(motions), -1).T.copy()
         return cls(template.skin.vertices, prior, columns, tuple(shown))
 
-    def of_person(self, neutral: Floats) -> _Shapes:
+    @property
+    def identity(self) -> Floats:
+        """The motions (3 V, m) of people's shapes alone."""
+        return self.columns[:, : len(self.prior)]
+
+    def of_person(self, neutral: Floats) -> PersonShapes:
         """Return the shapes of one person alone, whose skin (V, 3) is known."""
         expressions = self.columns[:, len(self.prior) :]
         return replace(self, mean=neutral, prior=np.zeros((0, 0)), columns=expressions)
@@ -198,7 +198,7 @@ class _Point:
     cameras: tuple[PinholeCamera, ...] = ()
 
     @classmethod
-    def at_rest(cls, shapes: _Shapes, photos: int) -> _Point:
+    def at_rest(cls, shapes: PersonShapes, photos: int) -> _Point:
         """Return the template's own person at rest in every photograph."""
         none = np.zeros(len(shapes.names))
         return cls(np.zeros(len(shapes.prior)), (none,) * photos, (shapes.mean,) * photos)
@@ -206,7 +206,7 @@ class _Point:
 
 @dataclass(frozen=True)
 class _IdentityProblem(LeastSquaresProblem[_Point]):
-    shapes: _Shapes
+    shapes: PersonShapes
     views: tuple[PhotoView, ...]
     options: IdentityOptions
     moves_face: bool

@@ -10,7 +10,7 @@ changes quickly along the skin.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import igl
 import numpy as np
@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
 
 from solver.anatomy.skin_points import SkinSamples
-from solver.drawing.render import rasterise
+from solver.drawing.render import rasterise, sphere
 from solver.photo.camera import PinholeCamera
 from solver.photo.shading import BANDS, CHANNELS, facing, harmonics, normals_at
 from solver.surface import Floats, Ints, Surface
 
 FAR_MM = 1e6  # where nothing is seen
+TURN_DIRECTIONS = 50  # of which the matrix of a turned light is made, which is exact
 
 
 @dataclass(frozen=True)
@@ -49,10 +50,20 @@ class LightOptions:
 
 @dataclass(frozen=True)
 class Appearance:
-    """A light (9, 3), and the albedo (V, 3) of the skin's vertices, whose mean is 1."""
+    """A light (9, 3), and the albedo (V, 3) of the skin's vertices, whose mean is 1.
+
+    The light is by harmonics of directions in the head's axes.
+    """
 
     light: Floats
     albedo: Floats
+
+    def turned(self, rotation: Floats) -> Appearance:
+        """Return the same light in axes to which ``rotation`` (3, 3) takes directions."""
+        directions = sphere(TURN_DIRECTIONS)
+        # each degree is turned by itself, so that what skin gathers of it does not matter
+        by_turned = np.linalg.pinv(harmonics(directions)) @ harmonics(directions @ rotation)
+        return replace(self, light=by_turned @ self.light)
 
 
 def visible_samples(

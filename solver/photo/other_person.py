@@ -27,12 +27,10 @@ from solver.errors import Finding, InputError, make_warning
 from solver.photo.camera import POSE_FREEDOM
 from solver.photo.expression import ExpressionOptions
 from solver.photo.fit import PhotoFitOptions
-from solver.photo.identity import see_person, shapes_of
+from solver.photo.identity import PersonShapes, see_person
 from solver.photo.photo import Photo
-from solver.registration.shape_fit import identity_model
-from solver.registration.topology import topology
 from solver.storage import Archive, Arrays, read_arrays
-from solver.surface import Floats
+from solver.surface import Floats, Surface
 from solver.templates.builtin.build import POINTS_FILE
 from solver.tracks.fit import TrackFitOptions
 
@@ -265,38 +263,41 @@ def _shifts(
 ) -> dict[str, Floats]:
     """Return b (n,) of the photographs that show enough."""
     found = {}
+    shapes = PersonShapes.of(template)
+    skin = template.skin.with_vertices(neutral)
     for name, photo in photos.items():
         if photo.eyes_px is None or photo.eyes_px < options.eyes_px:
             continue
         with suppress(InputError):  # no camera can be placed, which the fit tells
-            shift = person_shift(template, neutral, photo, points, options)
+            shift = person_shift(shapes, skin, photo, points, options)
             if shift is not None:
                 found[name] = shift.b
     return found
 
 
 def person_shift(
-    template: Template,
-    neutral: Floats,
+    shapes: PersonShapes,
+    skin: Surface,
     photo: Photo,
     points: SkinPoints,
     options: PersonOptions = PERSON_OPTIONS,
 ) -> PersonShift | None:
-    """Return what identity shapes would change of a face (V, 3); None for too few points.
+    """Return what identity shapes would change of a face's ``skin``; None for too few points.
 
     Raises :class:`InputError` as :func:`~solver.photo.identity.see_person`.
     """
-    seen = see_person(template, neutral, photo, points.detected(), options.views)
+    marks = points.detected()
+    if len(photo.landmarks.keys() & set(marks.names)) < options.least_points:
+        return None
+    seen = see_person(shapes, skin, photo, marks, options.views)
     term = seen.view.terms[0]
     found = term.linearise(seen.skin, seen.camera)
     if len(found.residual) < 2 * options.least_points:
         return None
     root = np.sqrt(options.views.fit.loss.weights(found.residual))
-    basis = shapes_of(template)
-    identity = basis.identity.reshape(len(basis.identity), -1).T
     by_weights = found.by_skin @ seen.expressions
     at_rest = root * (found.residual - by_weights @ seen.weights)
-    by_person = root[:, None] * (found.by_skin @ identity)
+    by_person = root[:, None] * (found.by_skin @ shapes.identity)
     spread = np.repeat([options.turn, options.shift_mm, options.focal], [3, 3, 1])
     free = found.by_camera[:, : len(spread) if seen.view.focal else POSE_FREEDOM]
     others = root[:, None] * np.hstack(
@@ -307,6 +308,5 @@ def person_shift(
     left = np.column_stack([at_rest, by_person])
     left = left - others @ np.linalg.solve(inner, others.T @ left)
     information = by_person.T @ left[:, 1:]
-    prior = identity_model(topology(template), basis).prior
-    b = -np.linalg.solve(prior + information, by_person.T @ left[:, 0])
+    b = -np.linalg.solve(shapes.prior + information, by_person.T @ left[:, 0])
     return PersonShift(b, information)

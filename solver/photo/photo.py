@@ -13,6 +13,8 @@ from solver.registration.detector import EYE_CORNERS
 from solver.registration.landmarks import MEDIAPIPE
 from solver.surface import Floats
 
+AROUND = 0.25  # of a face's extent in a photograph, that is looked at around it
+
 
 @dataclass(frozen=True)
 class Photo:
@@ -44,3 +46,14 @@ class Photo:
             for number in EYE_CORNERS
         )
         return None if right is None or left is None else float(np.linalg.norm(right - left))
+
+
+def square_around(places: Floats, photo: Photo) -> tuple[int, int, int, int]:
+    """Return left, top, right and bottom of a square around places (n, 2), cut to the picture."""
+    low = places.min(axis=0)
+    high = places.max(axis=0)
+    half = (0.5 + AROUND) * float((high - low).max())
+    middle = (low + high) / 2.0
+    left, top = np.clip(middle - half, 0, np.array(photo.size) - 2).astype(int)
+    right, bottom = np.clip(middle + half, (left + 2, top + 2), photo.size).astype(int)
+    return int(left), int(top), int(right), int(bottom)

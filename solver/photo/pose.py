@@ -16,30 +16,32 @@ from solver.surface import Floats
 
 LEAST_POINTS = 6  # of four unknowns a row, with some to spare
 ROUNDS = 10  # of robust least squares
+TINY = 1e-12  # px: a spread where all landmarks are in one place
 
 
 def place_camera(
-    points: Floats, pixels: Floats, noise_px: Floats, focal: Floats, centre: Floats
+    points: Floats, pixels: Floats, noise_mm: Floats, focal: Floats, centre: Floats
 ) -> PinholeCamera:
     """Return the camera that sees ``points`` (k, 3), mm, at about ``pixels`` (k, 2).
 
-    ``noise_px`` (k,) is how far each may be off, ``focal`` (2,) and ``centre`` (2,) are in px.
-    Raises :class:`InputError` (``photo.pose``) for too few points, and for pixels that are the
-    mirror image of a face or all in one place.
+    ``noise_mm`` (k,) is how far each may be off, ``focal`` (2,) and ``centre`` (2,) are in px.
+    Raises :class:`InputError` (``photo.pose``) for too few points, and for pixels that are all in
+    one place or on one line. Where they are the mirror image of a face the camera is behind it.
     """
     if len(points) < LEAST_POINTS:
         message = f"{len(points)} landmarks place no camera: at least {LEAST_POINTS} are needed"
         raise InputError("photo.pose", message, found=len(points), expected=LEAST_POINTS)
     middle = points.mean(axis=0)
     design = np.column_stack([points - middle, np.ones(len(points))])
-    weights = 1.0 / noise_px
+    weights = 1.0 / noise_mm
     for _ in range(ROUNDS):
         found, *_ = np.linalg.lstsq(
             weights[:, None] * design, weights[:, None] * pixels, rcond=None
         )
         away = np.linalg.norm(design @ found - pixels, axis=1)
-        spread = np.maximum(3.0 * noise_px, 2.0 * np.median(away))
-        weights = np.sqrt(robust_weights((away / spread) ** 2)) / noise_px
+        px_per_mm = np.linalg.svd(found[:3], compute_uv=False).mean()
+        spread = np.maximum(3.0 * px_per_mm * noise_mm, 2.0 * np.median(away))
+        weights = np.sqrt(robust_weights((away / np.maximum(spread, TINY)) ** 2)) / noise_mm
     rows = found[:3].T / (focal / focal.mean())[:, None]
     u, scales, vt = np.linalg.svd(rows, full_matrices=False)
     scale = float(scales.mean())

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +21,12 @@ from solver.photo.camera import PinholeCamera
 from solver.photo.expression import PhotoExpression, marks_of
 from solver.photo.identity import IdentityFit
 from solver.photo.light import Appearance
-from solver.photo.photo import Photo
+from solver.photo.photo import Photo, square_around
 from solver.photo.placed import Reprojection
 from solver.photo.shading import blocked_light, shade_of
 from solver.surface import Floats, Surface, vertex_normals
 
 PANEL = 320  # pixels of a picture's side on a sheet
-AROUND = 0.25  # of a face's extent in a photograph, that is shown around it
 CLEAR = 2.0  # differences of colours are drawn so many times as strong
 MARKS = {"given": (30, 110, 230), "fitted": (230, 60, 40)}  # sRGB bytes
 MARK_PX = 2  # half of a mark's side
@@ -55,8 +55,11 @@ def photo_figures(
         found[name]["somebody_else_nats"] = round(others[name], 2)
     return {
         "photos": found,
-        "iterations": {"landmarks": result.landmarks.steps, "shading": result.fit.steps},
-        "objective": round(result.fit.objective, 3),
+        "iterations": {
+            "landmarks": result.landmarks.steps,
+            "shading": result.steps - result.landmarks.steps,
+        },
+        "objective": round(result.fit.value, 3),
         "termination": str(result.fit.termination),
     }
 
@@ -87,31 +90,41 @@ def camera_figures(
     }
 
 
+class SeenFace(NamedTuple):
+    """A photograph, and the face that was fitted to it."""
+
+    photo: Photo
+    camera: PinholeCamera
+    skin: Floats  # (V, 3)
+    look: Appearance | None
+
+
+def seen_faces(photos: Sequence[Photo], result: PhotoExpression[Any]) -> list[SeenFace]:
+    """Return the fit of one moment by its photographs."""
+    point = result.fit.point
+    looks = result.appearances or (None,) * len(photos)
+    return [
+        SeenFace(photo, camera, point.skin, look)
+        for photo, camera, look in zip(photos, point.cameras, looks, strict=True)
+    ]
+
+
 def photo_picture(
-    model: SubjectModel,
-    fitted: Sequence[tuple[Sequence[Photo], PhotoExpression[Any]]],
-    points: SkinPoints,
-    path: Path,
+    model: SubjectModel, fitted: Sequence[SeenFace], points: SkinPoints, path: Path
 ) -> None:
     """Draw a row for each photograph: plate, landmarks, shaded skin, difference, and from aside."""
     head = DrawnHead(model.skin)
-    rows = [
-        (photo, result, number) for photos, result in fitted for number, photo in enumerate(photos)
-    ]
     drawn = []
-    for photo, result, number in rows:
-        point = result.fit.point
-        camera = point.cameras[number]
-        skin = Surface(point.skin, model.skin.faces)
-        box = _box(camera.project(point.skin[model.face])[:, :2], photo.size)
-        look = result.appearances[number] if result.appearances else None
-        shaded = _draw_skin(photo, camera, skin, model, look)
-        difference = np.clip(0.5 + CLEAR * (shaded - photo.pixels), 0.0, 1.0)
+    for photo, camera, skin, look in fitted:
+        plate, corner = _part(photo, camera.project(skin[model.face])[:, :2])
+        inside = replace(camera, centre=camera.centre - corner)
+        shaded = _draw_skin(plate, inside, model.skin.with_vertices(skin), model, look)
+        difference = np.clip(0.5 + CLEAR * (shaded - plate), 0.0, 1.0)
         known, given = marks_of(photo, points)
-        marked = _draw_landmarks(photo, given, camera.project(known.at(point.skin))[:, :2])
-        aside = head.body(head.lit(point.skin))
-        bust = face_camera(point.skin, model.face, SIDE)
-        panels = [_panel(each, box) for each in (photo.pixels, marked, shaded, difference)]
+        marked = _draw_landmarks(plate, given - corner, inside.project(known.at(skin))[:, :2])
+        aside = head.body(head.lit(skin))
+        bust = face_camera(skin, model.face, SIDE)
+        panels = [_panel(each) for each in (plate, marked, shaded, difference)]
         panels.append(render_bust([aside], bust, (PANEL, PANEL)))
         drawn.append((photo.name, panels))
     detail = "plate; landmarks given (blue) and fitted (red); skin; difference; aside"
@@ -127,10 +140,11 @@ def identity_picture(
     for row, photo in enumerate(photos):
         camera = found.cameras[row]
         skin = found.skins[row]
-        box = _box(camera.project(skin[template.face_vertices])[:, :2], photo.size)
+        plate, corner = _part(photo, camera.project(skin[template.face_vertices])[:, :2])
         known, given = marks_of(photo, points)
-        marked = _draw_landmarks(photo, given, camera.project(known.at(skin))[:, :2])
-        panels = [_panel(each, box) for each in (photo.pixels, marked)]
+        fitted = camera.project(known.at(skin))[:, :2]
+        marked = _draw_landmarks(plate, given - corner, fitted - corner)
+        panels = [_panel(each) for each in (plate, marked)]
         for shown, view in ((skin, 0.0), (found.neutral, 0.0), (found.neutral, SIDE)):
             bust = face_camera(shown, template.face_vertices, view)
             panels.append(render_bust([head.body(head.lit(shown))], bust, (PANEL, PANEL)))
@@ -153,25 +167,36 @@ def _draw_rows(
     page.save(path)
 
 
+def _part(photo: Photo, places: Floats) -> tuple[Pixels, Floats]:
+    """Return the part of a photograph around places (n, 2), and its upper left corner (2,)."""
+    left, top, right, bottom = square_around(places, photo)
+    return photo.pixels[top:bottom, left:right], np.array([left, top])
+
+
 def _draw_skin(
-    photo: Photo, camera: PinholeCamera, skin: Surface, model: SubjectModel, look: Appearance | None
+    plate: Pixels,
+    camera: PinholeCamera,
+    skin: Surface,
+    model: SubjectModel,
+    look: Appearance | None,
 ) -> Pixels:
-    """Return the photograph with the face's skin over it, in the light that was found."""
+    """Return a plate with the face's skin over it, in the light that was found."""
     if look is None:
         look = Appearance(np.full((9, 3), 0.05), np.ones_like(skin.vertices))
     shade = shade_of(vertex_normals(skin), blocked_light(skin), look.light)
     colours = np.clip(look.albedo * shade, 0.0, 1.0) ** (1.0 / GAMMA)
     within: NDArray[np.bool_] = np.asarray(np.isin(skin.faces, model.face).all(axis=1))
-    seen = rasterise(camera.project(skin.vertices), skin.faces, *photo.size)
-    pixels = photo.pixels.copy()
+    height, width = plate.shape[:2]
+    seen = rasterise(camera.project(skin.vertices), skin.faces, width, height)
+    pixels = plate.copy()
     shown = seen.mask & within[np.maximum(seen.triangle, 0)]
     pixels[shown] = seen.interpolate(colours)[within[seen.triangle[seen.mask]]]
     return pixels
 
 
-def _draw_landmarks(photo: Photo, given: Floats, fitted: Floats) -> Pixels:
-    """Return the photograph with its landmarks as they are given and as they are fitted."""
-    pixels = photo.pixels.copy()
+def _draw_landmarks(plate: Pixels, given: Floats, fitted: Floats) -> Pixels:
+    """Return a plate with the landmarks as they are given and as they are fitted."""
+    pixels = plate.copy()
     size = max(1, round(MARK_PX * max(np.ptp(given, axis=0).max() / PANEL, 0.5)))
     for name, places in (("given", given), ("fitted", fitted)):
         for column, row in np.nan_to_num(places).round().astype(int):
@@ -182,21 +207,9 @@ def _draw_landmarks(photo: Photo, given: Floats, fitted: Floats) -> Pixels:
     return pixels
 
 
-def _box(places: Floats, size: tuple[int, int]) -> tuple[int, int, int, int]:
-    """Return left, top, right and bottom of a square around places (n, 2), cut to the picture."""
-    low = places.min(axis=0)
-    high = places.max(axis=0)
-    half = (0.5 + AROUND) * float((high - low).max())
-    middle = (low + high) / 2.0
-    left, top = np.clip(middle - half, 0, np.array(size) - 2).astype(int)
-    right, bottom = np.clip(middle + half, (left + 2, top + 2), size).astype(int)
-    return int(left), int(top), int(right), int(bottom)
-
-
-def _panel(pixels: Pixels, box: tuple[int, int, int, int]) -> Pixels:
-    """Return a part of a picture as large as fits on a panel."""
-    left, top, right, bottom = box
-    part = Image.fromarray((np.clip(pixels[top:bottom, left:right], 0, 1) * 255).astype(np.uint8))
+def _panel(pixels: Pixels) -> Pixels:
+    """Return a picture as large as fits on a panel."""
+    part = Image.fromarray((np.clip(pixels, 0, 1) * 255).astype(np.uint8))
     scale = PANEL / max(part.size)
     part = part.resize((max(1, int(part.width * scale)), max(1, int(part.height * scale))))
     return np.asarray(part, np.float32) / np.float32(255)

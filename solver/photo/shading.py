@@ -74,18 +74,28 @@ def blocked_light(skin: Surface, shadows: Shadows = SHADOWS) -> Floats:
 
 @dataclass(frozen=True)
 class SmoothImage:
-    """A picture (h, w, 3) as a function of places in it, with derivatives: a cubic spline."""
+    """A picture (h, w, 3) as a function of places in it, with derivatives: a cubic spline.
+
+    ``corner`` is the column and the row at which it begins, as a part of a larger picture.
+    """
 
     pixels: Floats
+    corner: tuple[int, int] = (0, 0)
 
     @classmethod
-    def blurred(cls, pixels: Floats, sigma_px: float) -> SmoothImage:
+    def blurred(
+        cls, pixels: Floats, sigma_px: float, corner: tuple[int, int] = (0, 0)
+    ) -> SmoothImage:
         """Return a picture without detail finer than ``sigma_px``: a level of its pyramid."""
-        return cls(gaussian_filter(np.asarray(pixels, np.float64), (sigma_px, sigma_px, 0)))
+        sigma = (sigma_px, sigma_px, 0)
+        return cls(gaussian_filter(np.asarray(pixels, np.float64), sigma), corner)
 
     @cached_property
     def _splines(self) -> Sequence[RectBivariateSpline]:
-        rows, columns = (np.arange(size) + 0.5 for size in self.pixels.shape[:2])
+        height, width = self.pixels.shape[:2]
+        left, top = self.corner
+        rows = top + np.arange(height) + 0.5
+        columns = left + np.arange(width) + 0.5
         return [RectBivariateSpline(rows, columns, self.pixels[..., c]) for c in range(CHANNELS)]
 
     def at(self, places: Floats) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
 from solver.errors import Finding, SolveError, make_warning
-from solver.fitting.least_squares import Listener, Termination
+from solver.fitting.least_squares import LeastSquaresSolution, Listener, Termination
 from solver.fitting.objective import SkinDistance, Target
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.meshio.registered import RegisteredScan
@@ -22,7 +22,7 @@ from solver.model import SubjectModel
 from solver.rig.expression import errors_on_skin
 from solver.rig.round_trip import RoundTrip
 from solver.rig.system import ShapeFit
-from solver.tracks.fit import ShapeFace, State, TrackFit, TrackFitOptions, fit
+from solver.tracks.fit import ShapeFace, State, TrackFitOptions, fit
 
 TRACK_FIT = TrackFitOptions()
 
@@ -54,7 +54,7 @@ def fit_scan(
         found = fit(face, SkinDistance(face.face, target), rest, options, listen)
         status = "converged" if found.termination is Termination.CONVERGED else "stopped"
     except (SolveError, np.linalg.LinAlgError) as error:
-        found = TrackFit(rest, 0.0, 0, Termination.STUCK)
+        found = LeastSquaresSolution(rest, 0.0, 0, Termination.STUCK)
         status = "failed"
         notices = (make_warning("solve.failed", f"no fit was found ({error})"),)
     described = _describe(face, name, scan, target, found)
@@ -63,14 +63,18 @@ def fit_scan(
         seconds=time.perf_counter() - begun,
         status=status,
         notices=notices,
-        round_trip=_round_trip(face, rest, found.state),
+        round_trip=_round_trip(face, rest, found.point),
     )
 
 
 def _describe(
-    face: ShapeFace[State], name: str, scan: RegisteredScan, target: Target, found: TrackFit[State]
+    face: ShapeFace[State],
+    name: str,
+    scan: RegisteredScan,
+    target: Target,
+    found: LeastSquaresSolution[State],
 ) -> ShapeFit:
-    state = found.state
+    state = found.point
     points = face.face.face_points(state.x)
     return ShapeFit(
         name,

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Generic, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from typing_extensions import override
@@ -26,11 +26,11 @@ from solver.fitting.least_squares import (
     BoxModel,
     DampingOptions,
     LeastSquaresProblem,
+    LeastSquaresSolution,
     LeastSquaresStep,
     LinearModel,
     Listener,
     StopOptions,
-    Termination,
     TrustRegion,
     minimise,
 )
@@ -123,16 +123,6 @@ class TrackFitOptions:
         return np.concatenate([low, -free]), np.concatenate([high, free])
 
 
-@dataclass(frozen=True)
-class TrackFit(Generic[State]):
-    """End of a fit: the flesh there, the objective in mm^2, the steps to it, and why."""
-
-    state: State
-    objective: float
-    steps: int
-    termination: Termination
-
-
 def fit(
     face: ShapeFace[State],
     data: Term,
@@ -140,8 +130,8 @@ def fit(
     options: TrackFitOptions = TrackFitOptions(),
     listen: Listener | None = None,
     before: Floats | None = None,
-) -> TrackFit[State]:
-    """Fit weights and jaw to what ``data`` asks of the flesh, from rest or from a ``start``.
+) -> LeastSquaresSolution[State]:
+    """Fit weights and jaw to what ``data`` asks of the flesh, from rest or from a ``start``; mm^2.
 
     ``before`` (K + 5,) are the controls that changes count from, if not the start's.
 
@@ -151,8 +141,7 @@ def fit(
     """
     begun = face.rest() if start is None else start
     problem = _ShapeProblem(face, data, options, begun.q if before is None else before)
-    found = minimise(problem, begun, TrustRegion(options.damping), options.stop, listen)
-    return TrackFit(found.point, found.value, found.steps, found.termination)
+    return minimise(problem, begun, TrustRegion(options.damping), options.stop, listen)
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ def with_own_shapes(
     left = {}
     for name, scan in scans.items():
         target = Target.from_points(scan.vertices[model.face], scan.confidence[model.face])
-        state = fit(face, SkinDistance(face.face, target)).state
+        state = fit(face, SkinDistance(face.face, target)).point
         skin = face.skin(state)
         turned = on_skin, FreeJaw(model.jaw).matrix(state.pose.jaw)
         scanned, usual = (

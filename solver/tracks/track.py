@@ -52,7 +52,7 @@ class ShapeTracker(Generic[State]):
         def go(target: Target) -> int:
             data = SkinDistance(self.face.face, target)
             found = fit(self.face, data, self.state, self._options, before=before.q)
-            self.state = found.state
+            self.state = found.point
             return found.steps
 
         try:

@@ -145,9 +145,13 @@ class Controls:
                 Doubt(**header["doubt"]),
                 header["figures"],
             )
-            at_rest = found.changes(np.zeros(len(found.names)))
-            if at_rest.shape != (6 * model.muscle_count + 5,) or not np.isfinite(at_rest).all():
-                raise ValueError("its arrays do not fit each other")
+            rest = np.zeros(len(found.names))
+            for values, shape in (
+                (found.changes(rest), (6 * model.muscle_count + 5,)),
+                (found.skin(rest), model.skin.vertices.shape),
+            ):
+                if values.shape != shape or not np.isfinite(values).all():
+                    raise ValueError("its arrays do not fit each other")
         except (LookupError, TypeError, ValueError) as error:
             reason = f"{path.name} is not a file of learned controls: {error}"
             raise InputError("controls.unreadable", reason, file=path.name) from error

@@ -294,7 +294,7 @@ def solve_pairs(
     def walk(walks: Walks, numbers: Iterable[int]) -> list[Walked]:
         return in_threads(lambda number: walks.walk(number, told), numbers)
 
-    if known is None:
+    if known is None or not len(known):  # those that an older release left may all be left out
         first = walk(walks, range(FIRST_WALKS))
         rows = PairRows.join(each.rows for each in first)
         modes = SkinModes.of(walks.face.model.skin.vertices, rows.skins, MODES)

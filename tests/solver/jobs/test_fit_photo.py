@@ -208,6 +208,22 @@ def test_a_curve_of_another_place_is_refused(files: Path, tmp_path: Path) -> Non
     assert (error.value.code, error.value.context["where"]) == ("photo.curve", "lips_outer")
 
 
+def test_landmarks_of_the_far_side_are_refused(files: Path, tmp_path: Path) -> None:
+    """Of a mirrored picture without eyes and brows nothing else says so."""
+    photograph(files, "mirrored", smile(), 0.0)
+    facts = files / "mirrored.json"
+    marks = json.loads(facts.read_text())["landmarks"]
+    middle = NEUTRAL[MODEL.face, 1].mean()
+    points = landmark_points(builtin_template())
+    low = points.at(NEUTRAL)[:, 1] < middle
+    kept = {name for name, is_low in zip(points.names, low, strict=True) if is_low}
+    mirrored = {name: [SIZE[0] - x, y] for name, (x, y) in marks.items() if name in kept}
+    facts.write_text(json.dumps({"landmarks": mirrored}))
+    with pytest.raises(InputError, match="left and right may be exchanged") as error:
+        fit(files, tmp_path, "mirrored", model="shapes")
+    assert (error.value.code, error.value.context["photo"]) == ("photo.pose", "mirrored")
+
+
 def placed(yaw: float) -> dict[str, Any]:
     """Return what facts say of a camera, with its place in the world."""
     known = camera(yaw)
@@ -237,6 +253,7 @@ def test_cameras_that_contradict_are_told(
     [
         ({"moments": {"smile": ["front", "back"]}}, "photo.moment", "no photograph 'back'"),
         ({"moments": {"a": ["front"], "b": ["front"]}}, "photo.moment", "named twice"),
+        ({"moments": {"left": ["front"]}}, "photo.moment", "is called 'left' too"),
         ({"neutral": "back"}, "photo.neutral", "no photograph 'back'"),
         ({"boxes": {"back": [0, 0, 9, 9]}}, "photo.neutral", "no photograph 'back'"),
     ],
@@ -245,7 +262,7 @@ def test_photographs_that_are_not_there(
     files: Path, tmp_path: Path, options: dict[str, Any], code: str, words: str
 ) -> None:
     with pytest.raises(InputError, match=words) as error:
-        fit(files, tmp_path, "front", **options)
+        fit(files, tmp_path, "front", "left", **options)
     assert error.value.code == code
 
 

@@ -14,6 +14,7 @@ import pytest
 from solver.contact.crossing import Crossing
 from solver.errors import InputError
 from solver.fitting.face import Face
+from solver.fitting.least_squares import LeastSquaresSolution
 from solver.fitting.per_tet import tissue
 from solver.jobs import run_job
 from solver.meshio.registered import write_registered
@@ -24,7 +25,6 @@ from solver.storage import read_container
 from solver.surface import Floats, Surface
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackFace, track_potentials
-from solver.tracks.fit import TrackFit
 from tests.solver.block import head_block
 
 pytestmark = pytest.mark.long
@@ -231,7 +231,7 @@ def test_a_scan_that_the_flesh_finds_no_way_to_stays_at_rest(
     real = shape_fits.fit
     calls = []
 
-    def fails_once(*given: Any, **more: Any) -> TrackFit[Any]:
+    def fails_once(*given: Any, **more: Any) -> LeastSquaresSolution[Any]:
         calls.append(None)
         if len(calls) == 1:
             raise np.linalg.LinAlgError("no way")

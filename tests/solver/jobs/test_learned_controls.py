@@ -22,9 +22,11 @@ from solver.animation.controls.pairs import Pairs, Walks, solve_pairs
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose
 from solver.jobs import animate, blendshapes, learn_controls, run_job
+from solver.kinds import FILES
 from solver.mechanics.flesh import IDENTITY
 from solver.rig import ExpressionFit, Rig
 from solver.scans.performance import ARKIT_NAMES
+from solver.storage import Archive
 from tests.solver.block import head_block, thinner
 from tests.solver.jobs.test_scenes import skins
 
@@ -233,5 +235,10 @@ def test_files_of_another_rig_and_what_is_missing_are_refused(
     assert code(animated, out, rig, {"controls": "learned"}) == "controls.missing"
     scene = {"controls": "exact", "drive": "tracks"}
     assert code(animated, out, rig, scene, tracks=controls) == "scene.controls"
-    (tmp_path / "torn.npz").write_bytes(controls.read_bytes()[:2000])
-    assert code(animated, out, rig, {}, controls=tmp_path / "torn.npz") == "controls.unreadable"
+    torn = tmp_path / "torn.npz"
+    torn.write_bytes(controls.read_bytes()[:2000])
+    assert code(animated, out, rig, {}, controls=torn) == "controls.unreadable"
+    kept = Archive.read(controls, "controls", "controls", FILES["controls.npz"].format)
+    cut = {**kept.arrays, "skin_modes": kept.arrays["skin_modes"][:-1]}
+    Archive(kept.header, cut).write(torn)
+    assert code(animated, out, rig, {}, controls=torn) == "controls.unreadable"

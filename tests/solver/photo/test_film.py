@@ -87,16 +87,19 @@ def test_a_gap_widens_what_is_supposed_and_a_cut_looks_for_the_head() -> None:
     tracker = FilmTracker(driven, POINTS, np.full(2, 700.0), FilmOptions())
     tracker.step(plate(driven, {}, camera(0.0)))
     before = tracker.point
-    near = tracker.step(plate(driven, {"mouthFunnel": 0.9}, camera(0.0))).point.state.q
+    tracker.step(plate(driven, {"mouthFunnel": 0.9}, camera(0.0)))
+    near = tracker.state.q
     tracker.point = before
     for _ in range(20):
         tracker.pause()
-    far = tracker.step(plate(driven, {"mouthFunnel": 0.9}, camera(0.0))).point.state.q
+    tracker.step(plate(driven, {"mouthFunnel": 0.9}, camera(0.0)))
+    far = tracker.state.q
     assert 0.0 < near.max() < far.max()
     turned = replace(
         camera(-35.0), translation=camera(-35.0).translation + np.array([60.0, 0.0, 200.0])
     )
-    found = tracker.step(plate(driven, {"mouthFunnel": 0.9}, turned)).point.cameras[0]
+    tracker.step(plate(driven, {"mouthFunnel": 0.9}, turned))
+    (found,) = tracker.point.cameras
     np.testing.assert_allclose(found.rotation, turned.rotation, atol=0.05)
     np.testing.assert_allclose(found.translation, turned.translation, atol=25.0)
 

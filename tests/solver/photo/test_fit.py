@@ -162,6 +162,21 @@ def test_a_camera_is_placed_by_a_neutral_face_that_is_not_quite_the_one_seen():
     assert np.linalg.norm(found.project(points)[:, :2] - camera.project(points)[:, :2]) < 60.0
 
 
+def test_a_camera_is_placed_alike_in_a_picture_of_any_size():
+    random = np.random.default_rng(3)
+    points = random.normal(0.0, [60.0, 80.0, 20.0], (40, 3))
+    seen_by = camera_from(20.0, points)
+    pixels = seen_by.project(points)[:, :2]
+    pixels[:6] += 100.0  # wrong ones
+    placed = []
+    for size in (0.1, 1.0):
+        picture = seen_by.scaled(size)
+        noise = np.full(40, 2.0)
+        placed.append(place_camera(points, size * pixels, noise, picture.focal, picture.centre))
+    np.testing.assert_allclose(placed[0].rotation, placed[1].rotation, atol=1e-9)
+    np.testing.assert_allclose(placed[0].translation, placed[1].translation, atol=1e-6)
+
+
 def test_a_line_of_landmarks_places_no_camera():
     line = np.outer(np.arange(10.0), [3.0, 2.0])
     spread = np.random.default_rng(0).normal(0.0, 40.0, (10, 3))

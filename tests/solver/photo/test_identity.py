@@ -13,7 +13,13 @@ from solver.errors import InputError
 from solver.fitting.least_squares import LeastSquaresStep
 from solver.photo.camera import PinholeCamera
 from solver.photo.expression import place_views
-from solver.photo.identity import IdentityOptions, _IdentityProblem, _Point, _Shapes, fit_identity
+from solver.photo.identity import (
+    IdentityOptions,
+    PersonShapes,
+    _IdentityProblem,
+    _Point,
+    fit_identity,
+)
 from solver.photo.mesh_points import landmark_points
 from solver.photo.photo import Photo
 from solver.similarity import fit_similarity
@@ -76,7 +82,7 @@ def test_a_drawn_person_is_found_and_what_they_do_is_taken_out(seed: int) -> Non
 
 def test_the_model_is_the_objective_s() -> None:
     assert TEMPLATE.shapes is not None
-    shapes = _Shapes.of(TEMPLATE)
+    shapes = PersonShapes.of(TEMPLATE)
     options = IdentityOptions()
     views, _ = place_views(photographs(somebody(0), 2.0), POINTS, TEMPLATE.skin, options.views)
     begun = _Point.at_rest(shapes, len(views))

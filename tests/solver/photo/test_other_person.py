@@ -13,6 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from solver.photo.camera import PinholeCamera
+from solver.photo.identity import PersonShapes
 from solver.photo.mesh_points import landmark_points
 from solver.photo.other_person import (
     PERSON_OPTIONS,
@@ -101,7 +102,7 @@ def test_the_shift_is_towards_who_is_seen() -> None:
     # along what landmarks tell most of
     b = 2.0 * np.linalg.pinv(people.modes)[:, :3] @ random.choice([-1.0, 1.0], 3)
     seen = TEMPLATE.skin.vertices + np.tensordot(b, TEMPLATE.shapes.identity, 1)
-    shift = person_shift(TEMPLATE, TEMPLATE.skin.vertices, marked(seen), POINTS)
+    shift = person_shift(PersonShapes.of(TEMPLATE), TEMPLATE.skin, marked(seen), POINTS)
     assert shift is not None
     found, truth = people.modes[:3] @ shift.b, people.modes[:3] @ b
     assert np.linalg.norm(found - truth) < 0.5 * np.linalg.norm(truth)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -10,6 +12,7 @@ from solver.anatomy.skin_points import SkinSamples
 from solver.drawing.render import rasterise
 from solver.photo.camera import PinholeCamera
 from solver.photo.expression import ShadingOptions, shading_of
+from solver.photo.light import Appearance
 from solver.photo.photo import Photo
 from solver.photo.shading import (
     BANDS,
@@ -18,10 +21,11 @@ from solver.photo.shading import (
     SmoothImage,
     harmonic_rates,
     harmonics,
+    shade_of,
     sum_rates,
     vertex_sums,
 )
-from solver.surface import Surface, vertex_normals
+from solver.surface import Surface, unit_rows, vertex_normals
 from tests.solver.ball import ball
 from tests.solver.photo.derivatives import check_derivatives
 
@@ -81,12 +85,48 @@ def test_what_light_and_albedo_leave_is_a_picture_s_noise() -> None:
     assert given.least_noise < noise(0.5) < noise(0.9) < 0.5
 
 
+def test_a_face_in_the_corner_of_a_large_picture_is_compared_as_in_its_own() -> None:
+    surface = ball(np.zeros(3), 20.0, 3)
+    every = np.arange(len(surface.vertices))
+    open_ = np.zeros((len(every), HARMONICS))
+    alone = drawn(0.5)
+    pixels = np.zeros((500, 800, 3), np.float32)
+    pixels[300:420, 600:720] = alone.pixels
+    large = replace(CAMERA, centre=CAMERA.centre + np.array([600.0, 300.0]))
+    given = ShadingOptions(detail_mm=0.1)
+    small_term, small_look = shading_of(alone, CAMERA, surface, every, open_, given)
+    term, look = shading_of(Photo("large", pixels), large, surface, every, open_, given)
+    assert isinstance(term, ShadingTerm)
+    assert isinstance(small_term, ShadingTerm)
+    assert max(term.image.pixels.shape[:2]) <= 120
+    np.testing.assert_allclose(look.light, small_look.light, atol=0.01)
+    assert term.noise == pytest.approx(small_term.noise, rel=0.02)
+    moved = surface.vertices + np.array([0.3, -0.2, 0.1])
+    np.testing.assert_allclose(
+        np.linalg.norm(term.residual(moved, large)),
+        np.linalg.norm(small_term.residual(moved, CAMERA)),
+        rtol=0.03,
+    )
+
+
 def test_harmonics_have_their_rates() -> None:
     normals = np.random.default_rng(2).normal(size=(10, 3))
     for axis in range(3):
         way = 1e-6 * np.eye(3)[axis]
         expected = (harmonics(normals + way) - harmonics(normals - way)) / 2e-6
         np.testing.assert_allclose(harmonic_rates(normals)[..., axis], expected, atol=1e-7)
+
+
+def test_a_light_is_the_same_in_other_axes() -> None:
+    random = np.random.default_rng(5)
+    light = random.normal(size=(HARMONICS, 3))
+    normals = unit_rows(random.normal(size=(20, 3)))
+    turned = Appearance(light, np.ones((4, 3))).turned(TURN)
+    none = np.zeros((20, HARMONICS))
+    np.testing.assert_allclose(
+        shade_of(normals @ TURN.T, none, turned.light), shade_of(normals, none, light), atol=1e-9
+    )
+    np.testing.assert_allclose(turned.turned(TURN.T).light, light, atol=1e-9)
 
 
 def test_sums_of_normals_have_their_rates() -> None:

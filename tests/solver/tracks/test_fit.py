@@ -29,19 +29,19 @@ def scan_of(face, **weights):
 def test_weights_are_found_again(face):
     truth, data = scan_of(face, aside=0.7, bulge=0.4, open=0.5)
     found = fit(face, data, options=BOUNDED)
-    np.testing.assert_allclose(found.state.q[:3], truth.q[:3], atol=0.02)
-    assert data.value(found.state.x) < 1e-5 * data.value(face.rest().x)
+    np.testing.assert_allclose(found.point.q[:3], truth.q[:3], atol=0.02)
+    assert data.value(found.point.x) < 1e-5 * data.value(face.rest().x)
     # a frame that is near begins with the one before
-    near = fit(face, data, found.state, BOUNDED)
+    near = fit(face, data, found.point, BOUNDED)
     assert near.steps < found.steps
 
 
 def test_bounds_are_kept_exactly(face):
     truth, data = scan_of(face, aside=1.3, bulge=-0.3)
     free, bounded = (fit(face, data, options=each) for each in (FREE, BOUNDED))
-    np.testing.assert_allclose(free.state.q[:2], truth.q[:2], atol=0.02)
-    assert bounded.state.q[0] == 1.0
-    assert bounded.state.q[1] == 0.0
+    np.testing.assert_allclose(free.point.q[:2], truth.q[:2], atol=0.02)
+    assert bounded.point.q[0] == 1.0
+    assert bounded.point.q[1] == 0.0
     assert bounded.objective > free.objective
 
 

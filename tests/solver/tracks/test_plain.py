@@ -39,8 +39,8 @@ def test_weights_are_found_again_by_the_terms_of_tracks(face):
     truth = face.move(face.rest(), face.tracks.controls({"aside": 0.7, "bulge": 0.4, "open": 0.5}))
     data = SkinDistance(face.face, Target.from_points(face.face.face_points(truth.x)))
     found = fit(face, data, options=TrackFitOptions(w_w=1e-9, w_j=1e-2))
-    np.testing.assert_allclose(found.state.q[:3], truth.q[:3], atol=0.02)
-    assert data.value(found.state.x) < 1e-5 * data.value(face.rest().x)
+    np.testing.assert_allclose(found.point.q[:3], truth.q[:3], atol=0.02)
+    assert data.value(found.point.x) < 1e-5 * data.value(face.rest().x)
 
 
 def test_flesh_that_a_morph_turns_inside_out_is_counted(face):
