@@ -42,7 +42,7 @@ def test_bounds_are_kept_exactly(face):
     np.testing.assert_allclose(free.point.q[:2], truth.q[:2], atol=0.02)
     assert bounded.point.q[0] == 1.0
     assert bounded.point.q[1] == 0.0
-    assert bounded.objective > free.objective
+    assert bounded.value > free.value
 
 
 def test_the_model_s_gradient_is_that_of_the_objective(face):
