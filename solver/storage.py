@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import shutil
 import struct
 from collections.abc import Collection, Mapping
@@ -238,6 +239,14 @@ def hash_file(path: Path) -> str:
 def hash_files(files: Mapping[str, Path]) -> dict[str, str]:
     """Return the hash of each file by its name."""
     return {name: hash_file(path) for name, path in files.items()}
+
+
+def natural_order(names: Collection[str]) -> list[str]:
+    """Return names of files with the numbers in them in order: ``a2`` before ``a10``."""
+    parts = {name: re.split(r"(\d+)", name.lower()) for name in names}
+    return sorted(
+        names, key=lambda name: [int(p) if k % 2 else p for k, p in enumerate(parts[name])]
+    )
 
 
 def copy_whole(source: Path, path: Path) -> None:

@@ -47,6 +47,13 @@ def directed_edges(faces: Ints) -> Ints:
     return np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
+def edge_keys(faces: Ints, *, directed: bool) -> Ints:
+    """Return a number (3 f,) for the edge that each of :func:`directed_edges` is of."""
+    ends = directed_edges(faces)
+    one, other = (ends if directed else np.sort(ends, axis=1)).T
+    return np.asarray(one * (int(faces.max(initial=0)) + 1) + other, np.int64)
+
+
 def adjacency(faces: Ints, count: int) -> sp.csr_array:
     """Return the symmetric (count, count) matrix with 1 for every pair of vertices on an edge."""
     ends = np.roll(faces, 1, axis=1)

@@ -47,7 +47,8 @@ def unpacked(
                         [
                             (PurePosixPath(member.filename), member)
                             for member in archive.infolist()
-                            if not member.is_dir() and not HIDDEN.search(member.filename)
+                            if not member.is_dir()
+                            and not HIDDEN.search(member.filename.removeprefix("./"))
                         ]
                     )
                     _check(path.name, chosen, limits)

@@ -43,7 +43,11 @@ MOST_SHARES = 16  # times the file
 FEW_BYTES = 1 << 24  # of a small file
 ACCESS_BYTES = 1 << 10  # that reading any accessor counts for at least
 MOST = 1 << 53  # no count or offset: JSON's numbers end there
-NOT_VALID = (KeyError, IndexError, TypeError, AttributeError, OverflowError)  # by broken rules
+# by broken rules
+NOT_VALID = (
+    *(KeyError, IndexError, TypeError, AttributeError, OverflowError),
+    np.linalg.LinAlgError,
+)
 
 
 class Mode(IntEnum):
@@ -106,7 +110,7 @@ class GlbSource:
             for child in node.get("children", []):
                 visit(child, transform, depth + 1)
 
-        for root in self.item("scenes", self.document.get("scene", 0))["nodes"]:
+        for root in self.item("scenes", self.document.get("scene", 0)).get("nodes", []):
             visit(root, np.eye(4), 0)
         return found
 
@@ -189,10 +193,10 @@ def read_chunks(file: str, content: bytes) -> GlbSource:
         raise truncated_error(file, reason, expected=length, found=found)
     parts: dict[bytes, bytes] = {}
     position = 12
-    while position + 8 <= found:
+    while position + 8 <= length:
         size = int.from_bytes(content[position : position + 4], "little")
         kind = content[position + 4 : position + 8]
-        if position + 8 + size > found:
+        if position + 8 + size > length:
             raise truncated_error(file, f"a chunk of {size} bytes runs past the end of the file")
         parts.setdefault(kind, content[position + 8 : position + 8 + size])
         position += 8 + size

@@ -8,6 +8,7 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -86,7 +87,11 @@ class _Materials:
         return Paint((image,), np.zeros(len(mesh.faces), np.int64), coordinates, colours)
 
     def _image(self, texture: int, factor: tuple[float, ...]) -> Texels:
-        number = self.source.item("textures", texture)["source"]
+        used = self.source.item("textures", texture)
+        if "source" not in used:
+            reason = f"texture {texture} has no image in one of glTF's own formats"
+            raise file_error("texture.unreadable", self.path.name, reason)
+        number = used["source"]
         key = (number, *factor)
         if key not in self.images:
             found = self.reader.read(*self._content(number))
@@ -110,7 +115,7 @@ class _Materials:
                 return name, base64.b64decode(uri[found.end() :], validate=True)
             except binascii.Error:
                 raise file_error("texture.unreadable", name, "its data are not base64") from None
-        path = sidecar(self.path, uri, self.path.name)
+        path = sidecar(self.path, unquote(uri), self.path.name)
         return path.name, read_sidecar(path)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import warnings
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
@@ -31,6 +32,9 @@ class Mesh:
     empty_groups: tuple[str, ...] = ()  # names of groups, objects or parts without a face
 
 
+NEARLY_ONE = 1.5  # what rounding, or light, adds to a colour of 1, and a byte does not
+
+
 def join_meshes(parts: list[Mesh]) -> Mesh:
     """Return several meshes as one; normals and colours stay only if every part has them."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
@@ -46,8 +50,9 @@ def join_meshes(parts: list[Mesh]) -> Mesh:
 
 
 def unit_colours(colours: Floats) -> Floats:
-    """Return colours (n, 3) in [0, 1], given so or as bytes."""
-    return np.clip(colours / (255.0 if np.nanmax(colours, initial=0.0) > 1.0 else 1.0), 0.0, 1.0)
+    """Return colours (n, 3) in [0, 1], given so, or nearly, or as bytes."""
+    are_bytes = np.nanmax(colours, initial=0.0) > NEARLY_ONE
+    return np.clip(colours / (255.0 if are_bytes else 1.0), 0.0, 1.0)
 
 
 def fan(corners: Ints, counts: Ints) -> Ints:
@@ -132,6 +137,7 @@ def read_content(path: Path, limit: int, who: str) -> bytes:
     except OSError as error:
         message = f"{file} cannot be read: {error.strerror}"
         raise InputError("scan.unreadable", message, file=file) from None
+    content = content.removeprefix(codecs.BOM_UTF8)  # some editors put it before text
     if not content.strip():
         raise empty_error(file)
     return content

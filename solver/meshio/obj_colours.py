@@ -184,4 +184,7 @@ def _names(lines: list[bytes], key: bytes) -> list[str]:
 
 
 def _text(words: bytes) -> str:
-    return words.strip().decode("utf-8", "replace")
+    try:
+        return words.strip().decode("utf-8")
+    except UnicodeDecodeError:  # of older programs on Windows
+        return words.strip().decode("cp1252", "replace")

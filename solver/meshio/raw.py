@@ -17,7 +17,7 @@ from solver.meshio.mesh import Mesh, alike, check_suffix, read_content, too_larg
 from solver.meshio.obj import read_obj
 from solver.meshio.ply import read_ply
 from solver.meshio.soup import FACET, HEADER_BYTES, read_stl, read_xyz
-from solver.surface import Floats, Ints, area_normals, directed_edges
+from solver.surface import Floats, Ints, area_normals, edge_keys
 
 READERS: dict[str, Callable[[str, bytes], Mesh]] = {
     "obj": read_obj,
@@ -126,6 +126,8 @@ def sniff(file: str, content: bytes, suffix_format: str) -> str:
 FLAT = 1e-7
 # A coordinate beyond this counts as infinite: distances from it cannot be measured.
 ENDLESS = 1e100
+# Of stored normals, the share that has to have a length for them to count.
+MOST_KNOWN = 0.5
 # Fewer vertices in the place of another are separate parts that touch, and stay.
 WELDED_SHARE = 0.02
 
@@ -173,7 +175,7 @@ def mend(scan: RawScan) -> tuple[RawScan, Mending]:
         faces[against] = faces[against][:, ::-1]
         used = np.zeros(len(kept), bool)
         used[faces] = True
-        _, triangles_of_edge = np.unique(_edge_keys(faces, directed=False), return_counts=True)
+        _, triangles_of_edge = np.unique(edge_keys(faces, directed=False), return_counts=True)
         counts = replace(
             counts,
             flat=int(flat.sum()),
@@ -187,16 +189,17 @@ def mend(scan: RawScan) -> tuple[RawScan, Mending]:
     normals, colours = (
         None if values is None else values[kept] for values in (scan.normals, scan.colours)
     )
+    if normals is not None and not _are_known(normals):
+        normals = None
     vertices = scan.vertices[kept]
     mended = replace(scan, vertices=vertices, faces=faces, normals=normals, colours=colours)
     return mended, counts
 
 
-def _edge_keys(faces: Ints, *, directed: bool) -> Ints:
-    """Return a number (3 f,) for the edge that each side of the triangles is of."""
-    ends = directed_edges(faces)
-    one, other = (ends if directed else np.sort(ends, axis=1)).T
-    return np.asarray(one * (int(faces.max(initial=0)) + 1) + other, np.int64)
+def _are_known(normals: Floats) -> bool:
+    """Return whether most of stored normals (n, 3) are directions: some programs write zeros."""
+    lengths = np.linalg.norm(np.nan_to_num(normals), axis=1)
+    return float(np.mean(lengths > 0.0)) > MOST_KNOWN if len(lengths) else False
 
 
 def _is_flat(vertices: Floats, faces: Ints) -> NDArray[np.bool_]:
@@ -207,7 +210,7 @@ def _is_flat(vertices: Floats, faces: Ints) -> NDArray[np.bool_]:
 
 def _run_against(faces: Ints) -> NDArray[np.bool_]:
     """Return which triangles run against the most of their piece."""
-    directed = _edge_keys(faces, directed=True)
+    directed = edge_keys(faces, directed=True)
     if (np.diff(np.sort(directed)) > 0).all():  # neighbours run along their edge in opposite ways
         return np.zeros(len(faces), bool)
     wound, piece = igl.bfs_orient(faces)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from solver.errors import InputError
@@ -80,6 +82,10 @@ def _is_vertex(line: bytes) -> bool:
 
 
 MAX_COLUMNS = 12  # position, intensity, normal and colour, with room for one column more or two
+HEAD_BYTES = 4096  # at the beginning of a file, in which ...
+HEAD_LINES = 8  # ... these lines show how its numbers are written
+# three numbers or more, each with one comma, apart by semicolons, tabs or blanks
+DECIMAL_COMMAS = re.compile(rb"\s*[-+]?\d+,\d+(?:[; \t]+[-+]?\d+,\d+){2,}[; \t]*")
 UNIT_LENGTH = 0.02  # the median length of normals differs from 1 by less
 
 
@@ -90,6 +96,7 @@ def read_xyz(file: str, content: bytes) -> Mesh:
     one heading and the line with the number of points (PTS) are skipped. Three columns that are
     unit vectors are normals; three that are whole numbers up to 255 or lie in [0, 1] are colours.
     """
+    _refuse_commas(file, content)
     every = content.translate(bytes.maketrans(b",;\t\r", b"    ")).split(b"\n")
     lines = [line for line in every if _has_values(line)]
     first = _first_row(lines[:3])
@@ -112,6 +119,15 @@ def read_xyz(file: str, content: bytes) -> Mesh:
         raise truncated_error(file, reason, expected=expected, found=len(rows))
     normals, colours = _attributes(columns(values, counts, 3, width))
     return Mesh(columns(values, counts, 0, 3), normals=normals, colours=colours)
+
+
+def _refuse_commas(file: str, content: bytes) -> None:
+    """Raise ``scan.unreadable`` for decimal commas, which would be read as ends of numbers."""
+    head = content[:HEAD_BYTES].splitlines()[:HEAD_LINES]
+    for number, line in enumerate(head, start=1):
+        if DECIMAL_COMMAS.fullmatch(line):
+            reason = "its numbers have decimal commas: write them with points"
+            raise unreadable_error(file, reason, line=number)
 
 
 def _has_values(line: bytes) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import struct
+import unicodedata
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -46,18 +47,27 @@ SIXTEEN_BITS = re.compile("I;16.*|I")  # modes of grey
 def sidecar(scan: Path, name: str, written_in: str) -> Path:
     """Return the file ``name`` that lies beside a scan, as the file ``written_in`` has it.
 
+    Case and composition of letters need not be the same: programs and disks change them.
+
     Raises :class:`InputError`: ``texture.path`` for anything but a plain name, ``texture.missing``
     where no such file lies beside the scan.
     """
-    plain = name.removeprefix("./")
+    plain = name.strip("\"' ").removeprefix("./").removeprefix(".\\")
     if not plain.isprintable() or plain in ("", ".", "..") or re.search(r"[/\\:]", plain):
         reason = f"names {quote(name)}: only a plain name of a file beside the scan is opened"
         raise file_error("texture.path", written_in, reason, found=quote(name))
     path = scan.with_name(plain)
+    if not path.is_file():
+        alike = [each for each in scan.parent.iterdir() if _plainly(each.name) == _plainly(plain)]
+        path = alike[0] if len(alike) == 1 else path
     if not path.is_file() or path.is_symlink():
         reason = f"names {quote(name)}, which does not lie beside {scan.name}"
         raise file_error("texture.missing", written_in, reason, found=quote(name))
     return path
+
+
+def _plainly(name: str) -> str:
+    return unicodedata.normalize("NFC", name).casefold()
 
 
 def read_sidecar(path: Path) -> bytes:
@@ -122,9 +132,10 @@ def _own_limit() -> Iterator[None]:
 
 def _texels(image: Image.Image) -> Texels:
     image.draft(None, (ENOUGH_SIDE, ENOUGH_SIDE))
-    if max(image.size) > ENOUGH_SIDE and image.mode not in ("1", "P"):
+    is_deep = SIXTEEN_BITS.fullmatch(image.mode)
+    if max(image.size) > ENOUGH_SIDE and image.mode not in ("1", "P") and not is_deep:
         image = image.reduce(2)
-    if SIXTEEN_BITS.fullmatch(image.mode):
+    if is_deep:
         grey = np.asarray(image).astype(np.uint32)
         grey = np.clip(grey >> 8, 0, 255).astype(np.uint8)
         return np.dstack([grey, grey, grey, np.full_like(grey, 255)])

@@ -5,7 +5,6 @@ Frames come one after the other and are never all in memory; to go back is to be
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -24,6 +23,7 @@ from solver.photo.photo import Photo
 from solver.photo.picture import LEAST_SIDE, MOST_PIXELS
 from solver.photo.read import read_photo
 from solver.scans.film import FilmLimits, FilmPicture, decode_film
+from solver.storage import natural_order
 
 LIMITS = FilmLimits(LEAST_SIDE, MOST_PIXELS, MOST_FILM_FRAMES)
 # a JSON beside each picture
@@ -45,14 +45,6 @@ class Footage(Protocol):
 
     def number(self, name: str) -> int | None:
         """Return the number of the frame that is called so; None if none is."""
-
-
-def natural_order(names: Collection[str]) -> list[str]:
-    """Return names with the numbers in them in order: ``a2`` before ``a10``."""
-    parts = {name: re.split(r"(\d+)", name.lower()) for name in names}
-    return sorted(
-        names, key=lambda name: [int(p) if k % 2 else p for k, p in enumerate(parts[name])]
-    )
 
 
 @dataclass(frozen=True)

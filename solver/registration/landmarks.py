@@ -58,7 +58,7 @@ def read_landmarks(path: Path) -> Points:
     """
     suffix = path.suffix.lower()
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise _unreadable(path.name, str(error)) from error
     if suffix == ".csv":
@@ -169,7 +169,10 @@ def _csv(path: Path, text: str) -> Points:
             continue
         if len(cells) != 4:
             raise _unreadable(path.name, "four columns are expected: name, x, y, z", line=number)
-        points[cells[0]] = _point(path, cells[0], cells[1:], line=number)
+        name = cells[0]
+        if name in points:
+            raise _unreadable(path.name, f"{quote(name)} is there twice", line=number)
+        points[name] = _point(path, name, cells[1:], line=number)
     if not points:
         raise _unreadable(path.name, "it holds no landmarks")
     return points
@@ -178,6 +181,8 @@ def _csv(path: Path, text: str) -> Points:
 def _point(path: Path, name: str, value: Any, **where: Any) -> Floats:
     shown = quote(name)
     try:
+        if isinstance(value, str):
+            raise TypeError
         x, y, z = (float(number) for number in value)
     except (TypeError, ValueError, OverflowError):
         raise _unreadable(

@@ -9,7 +9,15 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from solver.meshio.mesh import weld
-from solver.surface import Floats, Ints, Surface, area_normals, directed_edges, vertex_normals
+from solver.surface import (
+    Floats,
+    Ints,
+    Surface,
+    area_normals,
+    directed_edges,
+    edge_keys,
+    vertex_normals,
+)
 
 
 @dataclass(frozen=True)
@@ -58,9 +66,10 @@ class PlacedScan:
         joined = place[self._faces]
         smooth = vertex_normals(Surface(self._vertices[first], joined))
         self._normals = smooth[place]
-        edges = np.sort(directed_edges(joined), axis=1)
-        kinds, counts = np.unique(edges, axis=0, return_counts=True)
-        rim = np.unique(kinds[counts == 1])
+        _, edge, counts = np.unique(
+            edge_keys(joined, directed=False), return_index=True, return_counts=True
+        )
+        rim = np.unique(directed_edges(joined)[edge[counts == 1]])
         self._rim = cKDTree(self._vertices[first][rim]) if len(rim) else None
         _, near, shares, _ = self._closest(skin.vertices[face])
         cosines = np.einsum("nd,nd->n", self._normal(near, shares), vertex_normals(skin)[face])

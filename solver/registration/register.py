@@ -25,7 +25,7 @@ from solver.registration.nonrigid import (
     free_form,
     unfold,
 )
-from solver.registration.scan_surface import ScanSurface, check_size, sample, scan_surface
+from solver.registration.scan_surface import SURFACE, ScanSurface, check_size, sample, scan_surface
 from solver.registration.shape_fit import (
     Pins,
     ShapeFit,
@@ -59,9 +59,34 @@ def find_start(
     for finding in findings:
         if finding.severity == "error":
             raise InputError(finding.code, finding.message, file=raw.file, **finding.context)
-    return scan_surface(raw, place.mm_per_unit), place, findings
+    near = near_head(raw, place, template.skin.vertices)
+    return scan_surface(near, place.mm_per_unit), place, findings
 
 
+def near_head(
+    raw: RawScan, place: Location, skin: Floats, most: int = SURFACE.max_vertices
+) -> RawScan:
+    """Return a scan of more than ``most`` vertices without what is far from a template's ``skin``.
+
+    It has to be thinned, and a body beside the face, or one stray point, would make the face
+    itself coarse.
+    """
+    if len(raw.vertices) <= most:
+        return raw
+    points = place.motion(place.mm_per_unit * raw.vertices)
+    low = skin.min(axis=0) - AROUND_HEAD_MM
+    high = skin.max(axis=0) + AROUND_HEAD_MM
+    is_near = ((points > low) & (points < high)).all(axis=1)
+    faces = raw.faces[is_near[raw.faces].all(axis=1)]
+    numbers = np.cumsum(is_near) - 1
+    normals, colours = (
+        None if values is None else values[is_near] for values in (raw.normals, raw.colours)
+    )
+    vertices = raw.vertices[is_near]
+    return replace(raw, vertices=vertices, faces=numbers[faces], normals=normals, colours=colours)
+
+
+AROUND_HEAD_MM = 40.0  # what is looked at around the template's skin
 LEAST_COVER = 0.15  # of a face by free form: with less it is none
 FARTHEST_MM = 1.0  # that it is off on average: farther it is none
 STILL = 0.1  # least weight of the vertices on which an expression's head is aligned

@@ -15,6 +15,7 @@ from scipy.spatial import KDTree, cKDTree
 from typing_extensions import override
 
 from solver.errors import InputError
+from solver.meshio.mesh import alike
 from solver.meshio.raw import RawScan
 from solver.similarity import Similarity
 from solver.surface import Floats, Ints, Surface, adjacency, area_normals, part_of, unit_rows
@@ -182,13 +183,14 @@ def _thin(surface: Surface, most: int) -> Surface:
     faces = number[surface.faces]
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
-    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    first, _ = alike(np.sort(faces, axis=1).astype(np.uint64))
     thinned = Surface(mean_by_cell(surface.vertices, number), faces)
-    return part_of(thinned, np.sort(first))
+    return part_of(thinned, first)
 
 
 def _thin_points(points: Floats, most: int) -> Floats:
-    cell = float(np.ptp(points, axis=0).max()) / 400 if len(points) > most else 0.0
+    low, high = np.quantile(points, [0.01, 0.99], axis=0)  # whatever strays far off
+    cell = float((high - low).max()) / 400
     while len(points) > most:
         points = mean_by_cell(points, cells(points, cell)[1])
         cell = 1.2 * cell
@@ -198,8 +200,10 @@ def _thin_points(points: Floats, most: int) -> Floats:
 def cells(points: Floats, size: float) -> tuple[Ints, Ints]:
     """Return the first point of every cell of a grid, and the cell of every point."""
     keys = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
-    _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    return first, number.reshape(-1)
+    wide = keys.max(axis=0, initial=0) + 1
+    packed = (keys[:, 0] * wide[1] + keys[:, 1]) * wide[2] + keys[:, 2]
+    _, first, number = np.unique(packed, return_index=True, return_inverse=True)
+    return first, number
 
 
 def mean_by_cell(values: Floats, number: Ints) -> Floats:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ from solver.scans.findings import (
     with_advice,
 )
 from solver.scans.mouth import Eye, MouthGaps, find_eyes, find_mouth, roughness, spikes
-from solver.surface import Floats, Surface, area_normals, unit_rows
+from solver.surface import Floats, Surface, area_normals, unit_rows, vertex_normals
 
 # Assessment of a scan part by part: those that a check could judge, and those it could not. A
 # finding says what is wrong; where there is none, these words tell a part that is right from one
@@ -296,7 +297,10 @@ def check_picture(check: ScanCheck, title: str, path: Path) -> None:
     Without a scan the picture holds only the title.
     """
     seen: set[str] = set()
-    views = [_view(check, yaw, seen) for yaw in YAWS] if check.scan is not None else []
+    views = []
+    if check.scan is not None:
+        placed = _place(check)
+        views = [_view(check, placed, yaw, seen) for yaw in YAWS]
     legend = {words: tuple(colour) for words, colour in LEGEND.items() if words in seen}
     not_judged = ", ".join(each.about for each in check.parts if not each.judged)
     detail = f"not judged: {not_judged}" if not_judged else ""
@@ -308,16 +312,30 @@ def check_picture(check: ScanCheck, title: str, path: Path) -> None:
     page.save(path)
 
 
-def _view(check: ScanCheck, yaw: float, seen: set[str]) -> Pixels:
+@dataclass(frozen=True)
+class _Placed:
+    """A scan as it is to be seen, the middle (3,) of the view and its height."""
+
+    surface: Surface
+    centre: Floats
+    span: float
+
+    @cached_property
+    def normals(self) -> Floats:
+        """The unit normals (n, 3) of its vertices."""
+        return vertex_normals(self.surface)
+
+
+def _view(check: ScanCheck, placed: _Placed, yaw: float, seen: set[str]) -> Pixels:
     """Return a picture; the words of :data:`LEGEND` for its colours are added to ``seen``."""
-    surface, centre, span = _place(check)
-    camera = Camera(centre, span, yaw, distance=FAR_MM)
+    surface = placed.surface
+    camera = Camera(placed.centre, placed.span, yaw, distance=FAR_MM)
     wide = WIDTH * SUPERSAMPLING
     high = HEIGHT * SUPERSAMPLING
     image = np.broadcast_to(BACKGROUND, (high, wide, 3)).copy()
     depth = np.full((high, wide), np.inf)
     if len(surface.faces):
-        seen |= _draw_mesh(image, depth, camera, surface, check)
+        seen |= _draw_mesh(image, depth, camera, placed, check)
     else:
         _draw_cloud(image, depth, camera, surface.vertices)
         seen.add(SCANNED)
@@ -331,35 +349,36 @@ def _view(check: ScanCheck, yaw: float, seen: set[str]) -> Pixels:
     return np.asarray(np.clip(image, 0.0, 1.0), np.float32)
 
 
-def _place(check: ScanCheck) -> tuple[Surface, Floats, float]:
-    """Return the scan as it is to be seen, the middle of the view and its height."""
+def _place(check: ScanCheck) -> _Placed:
+    """Return the scan of a check as it is to be seen."""
     scan = check.scan
     assert scan is not None
     if check.location is None or check.cover is None:
         low, high = np.quantile(scan.vertices, [0.002, 0.998], axis=0)
         scale = SPAN_MM / 1.2 / float((high - low).max() + 1e-30)
-        return Surface((scan.vertices - (low + high) / 2) * scale, scan.faces), np.zeros(3), SPAN_MM
+        vertices = (scan.vertices - (low + high) / 2) * scale
+        return _Placed(Surface(vertices, scan.faces), np.zeros(3), SPAN_MM)
     surface = Surface(check.location.pose.motion(scan.vertices), scan.faces)
     if any(finding.code == "scan.two_heads" for finding in check.findings):
         low, high = np.quantile(surface.vertices, [0.002, 0.998], axis=0)
-        return surface, (low + high) / 2, 1.6 * float((high - low).max())
+        return _Placed(surface, (low + high) / 2, 1.6 * float((high - low).max()))
     middle = np.median(check.cover.points, axis=0) - np.array([0.0, 0.0, BACK_MM])
-    return surface, middle, SPAN_MM
+    return _Placed(surface, middle, SPAN_MM)
 
 
 def _draw_mesh(
-    image: Floats, depth: Floats, camera: Camera, surface: Surface, check: ScanCheck
+    image: Floats, depth: Floats, camera: Camera, placed: _Placed, check: ScanCheck
 ) -> set[str]:
     """Draw the scan, and return the words of :data:`LEGEND` for its colours."""
+    surface = placed.surface
     seen = look(camera, surface, image.shape[1], image.shape[0])
     mask = np.asarray(seen.mask)
     if not mask.any():
         return set()
-    normals = unit_rows(area_normals(surface.vertices, surface.faces))
-    smooth = np.zeros_like(surface.vertices)
-    np.add.at(smooth, surface.faces.T, normals)
-    normal = unit_rows(seen.interpolate(smooth).astype(np.float64))
-    facing = normals[seen.triangle[mask]] @ camera.axes[2]
+    shown_faces = surface.faces[seen.triangle[mask]]
+    normals = unit_rows(area_normals(surface.vertices, shown_faces))
+    normal = unit_rows(seen.interpolate(placed.normals).astype(np.float64))
+    facing = normals @ camera.axes[2]
     light = camera.brightness(normal)
     inward = facing < 0
     colour = np.where(inward[:, None], INWARD, GREY)

@@ -302,16 +302,21 @@ def winding_findings(
         return [inverted, make_finding("scan.mirrored", "warning", message, **figures)]
     chosen = np.random.default_rng(0).permutation(len(scan.vertices))[:20000]
     stored = Samples(scan.vertices[chosen], np.nan_to_num(scan.normals[chosen]), True)
-    if _share_inward(stored, face, place) >= 0.5:
+    if _share_inward(stored, face, place, unclear=1.0) >= 0.5:
         return [inverted]
     message = "The scan is mirrored: its triangles face inwards, its normals outwards."
     return [make_finding("scan.mirrored", "error", message, **figures)]
 
 
-def _share_inward(samples: Samples, face: FacePoints, place: Location) -> float:
-    """Return the share of the face's points whose closest sample faces the other way."""
+def _share_inward(
+    samples: Samples, face: FacePoints, place: Location, unclear: float = 0.0
+) -> float:
+    """Return the share of the face's points whose closest sample faces the other way.
+
+    It is ``unclear`` where none of them faces either way.
+    """
     there = samples.transform(place.pose.motion)
     gap, near = there.tree.query(face.points)
     facing = (there.normals[near] * face.normals).sum(axis=1)
     clear = facing[(gap < REFINEMENT.close) & (np.abs(facing) > REFINEMENT.facing)]
-    return float((clear < 0).mean()) if len(clear) else 0.0
+    return float((clear < 0).mean()) if len(clear) else unclear

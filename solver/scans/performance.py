@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from solver.errors import Finding, InputError, file_error, quote
 from solver.meshio.registered import REGISTERED_FORMATS as SCAN_FORMATS
 from solver.meshio.registered import RegisteredScan, read_registered
-from solver.storage import map_array
+from solver.storage import map_array, natural_order
 from solver.surface import Floats, Ints, Surface
 
 FORMATS = (".npy",)
@@ -128,8 +128,12 @@ class _Folder:
 
     @classmethod
     def open(cls, path: Path, neutral: Surface, face: Ints) -> _Folder:
-        scans = (each for each in path.iterdir() if each.suffix.lower() in SCAN_FORMATS)
-        return cls(path.name, sorted(scans), neutral, face)
+        scans = {
+            each.name: each
+            for each in path.iterdir()
+            if each.suffix.lower() in SCAN_FORMATS and not each.name.startswith(".")
+        }
+        return cls(path.name, [scans[name] for name in natural_order(scans)], neutral, face)
 
     def __len__(self) -> int:
         return len(self.paths)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+import unicodedata
 import zlib
 from pathlib import Path
 
@@ -87,7 +88,7 @@ def test_several_materials_have_an_image_each_and_some_none(tmp_path: Path) -> N
         ("C:\\scans\\skin.png", "texture.path"),
         ("folder/skin.png", "texture.path"),
         ("..", "texture.path"),
-        ("A b.png", "texture.missing"),
+        ("a c.png", "texture.missing"),
         ("face.mtl", "texture.unreadable"),
     ],
 )
@@ -99,6 +100,30 @@ def test_only_images_beside_the_scan_are_opened(name: str, code: str, tmp_path: 
         colours(obj(folder, mtl=f"newmtl skin\nmap_Kd {name}\n"))
     assert caught.value.code == code
     assert name.split("\\")[0] in caught.value.message
+
+
+@pytest.mark.parametrize(
+    ("written", "lies"),
+    [
+        ("Skin.PNG", "skin.png"),
+        (".\\skin.png", "skin.png"),
+        ('"skin.png"', "skin.png"),
+        (
+            unicodedata.normalize("NFC", "M\u00fcller.png"),
+            unicodedata.normalize("NFD", "M\u00fcller.png"),
+        ),
+    ],
+)
+def test_an_image_is_found_however_its_name_is_written(
+    written: str, lies: str, tmp_path: Path
+) -> None:
+    path = obj(tmp_path, mtl=f"newmtl skin\nmap_Kd {written}\n")
+    (tmp_path / "a b.png").rename(tmp_path / lies)
+    assert colours(path) is not None
+    mtl = f"newmtl skin\nmap_Kd {written}\n"
+    if not mtl.isascii():  # an older program on Windows
+        (tmp_path / "face.mtl").write_bytes(mtl.encode("cp1252"))
+        assert colours(path) is not None
 
 
 def test_links_and_mtls_elsewhere_are_not_followed(tmp_path: Path) -> None:

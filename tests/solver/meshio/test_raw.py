@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -128,11 +129,12 @@ def test_glb_puts_every_part_in_its_place(tmp_path: Path) -> None:
         "# cloud\n1;2;3\n4;5;6",
         "2\n1 2 3 17 255 0 0\n4 5 6 18 0 0 255\n",
         "1 2 3 0 0.6 -0.8 10 20 30\n4 5 6 0 0 1 40 50 60\n",
+        "\ufeff1 2 3\n4 5 6\n",
     ],
 )
 def test_point_clouds_as_text(text: str, tmp_path: Path) -> None:
     path = tmp_path / "a.xyz"
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     scan = read_raw(path)
     np.testing.assert_array_equal(scan.vertices, [[1, 2, 3], [4, 5, 6]])
     assert len(scan.faces) == 0
@@ -157,6 +159,8 @@ def test_point_clouds_as_text(text: str, tmp_path: Path) -> None:
         ("a.xyz", "0 0 0\n1 2 3\n1 oops 3\n1 2 3\n", "scan.unreadable", 3),
         ("a.xyz", "0 0 0\n1 2 3\n1 2", "scan.truncated", 3),
         ("a.pts", "5\n0 0 0\n1 2 3\n", "scan.truncated", None),
+        ("a.csv", "x;y;z\n10,058;-10,568;51,234\n", "scan.unreadable", 2),
+        ("a.xyz", "10,058 -10,568 51,234\n", "scan.unreadable", 1),
         ("a.obj", "nothing\n", "scan.empty", None),
         ("a.fbx", "v 0 0 0\n", "scan.format", None),
     ],
@@ -170,6 +174,20 @@ def test_faults_are_named_with_their_line(
     assert error.code == code
     assert error.context.get("line") == line
     assert name in error.message
+
+
+def test_a_mark_of_byte_order_costs_no_vertex(tmp_path: Path) -> None:
+    path = tmp_path / "a.obj"
+    path.write_text("\ufeffv 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n", encoding="utf-8")
+    assert len(read_raw(path).vertices) == 3
+
+
+def test_a_colour_a_little_above_one_makes_no_scan_black(tmp_path: Path) -> None:
+    path = tmp_path / "a.obj"
+    path.write_text("v 0 0 0 0.5 0.2 1.000001\nv 1 0 0 1 1 1\nv 1 1 0 0 0 0\nf 1 2 3\n")
+    colours = read_raw(path).colours
+    assert colours is not None
+    np.testing.assert_allclose(colours[0], [0.5, 0.2, 1.0])
 
 
 @pytest.mark.parametrize(
@@ -200,6 +218,15 @@ def test_nan_is_kept_by_the_reader_and_mended_with_its_triangles(tmp_path: Path)
     assert len(mended.vertices) == len(VERTICES) - 1
     assert len(mended.faces) == len(FACES) - (FACES == 17).any(axis=1).sum()
     np.testing.assert_array_equal(mended.vertices[17], VERTICES[18].round(6))
+
+
+def test_stored_normals_without_a_length_are_none(tmp_path: Path) -> None:
+    path = tmp_path / "a.obj"
+    write_obj(path, Surface(VERTICES, FACES))
+    scan = replace(read_raw(path), normals=np.zeros_like(VERTICES))
+    assert mend(scan)[0].normals is None
+    some = np.where(np.arange(len(VERTICES))[:, None] % 5, VERTICES, 0.0)
+    assert mend(replace(scan, normals=some))[0].normals is not None
 
 
 def test_loose_triangles_are_joined_and_wound_alike(tmp_path: Path) -> None:

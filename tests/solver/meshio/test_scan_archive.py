@@ -45,6 +45,12 @@ def test_a_zip_of_a_scan_is_read_with_its_colours_and_leaves_nothing(tmp_path: P
     np.testing.assert_allclose(colour[0], [1, 0, 0])
 
 
+def test_members_may_begin_with_the_folder_they_are_in(tmp_path: Path) -> None:
+    scan = obj(tmp_path)
+    with opened_scan(pack(tmp_path / "face.zip", {"./face.obj": scan.read_bytes()})) as mesh:
+        assert mesh.name == "face.obj"
+
+
 def test_what_is_no_zip_is_given_as_it_is(tmp_path: Path) -> None:
     with opened_scan(tmp_path / "face.ply") as mesh:
         assert mesh == tmp_path / "face.ply"

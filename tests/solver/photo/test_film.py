@@ -16,12 +16,13 @@ from solver.errors import InputError
 from solver.photo.camera import PinholeCamera
 from solver.photo.film import FilmOptions, FilmTracker, FrameProblem, RandomWalk, StepNoise
 from solver.photo.fit import PhotoFitOptions, PhotoPoint, PhotoProblem, PhotoView
-from solver.photo.footage import FilmFile, Pictures, natural_order, open_film
+from solver.photo.footage import FilmFile, Pictures, open_film
 from solver.photo.mesh_points import landmark_points
 from solver.photo.photo import Photo
 from solver.photo.terms import LandmarkTerm
 from solver.rig.frames.animation import write_video
 from solver.similarity import IDENTITY
+from solver.storage import natural_order
 from solver.templates.builtin.build import builtin_template
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.plain import PlainFace

@@ -71,7 +71,9 @@ def test_a_misplaced_landmark_is_named(points, template):
     [
         ("a.csv", "sellion,1,2\n", "landmarks.unreadable"),
         ("a.csv", "sellion,1,2,nan\n", "landmarks.unreadable"),
+        ("a.csv", "sellion,1,2,3\nsellion,1,2,4\n", "landmarks.unreadable"),
         ("a.json", "[1, 2]", "landmarks.unreadable"),
+        ("a.json", '{"sellion": "123"}', "landmarks.unreadable"),
         ("a.json", '{"sellion": [1, 2]}', "landmarks.unreadable"),
         ("a.json", '{"groups": {}}', "landmarks.unreadable"),
         ("a.ljson", '{"groups": {"a": {"landmarks": {"points": 5}}}}', "landmarks.unreadable"),
@@ -83,6 +85,14 @@ def test_faults_are_named(tmp_path, name, content, code):
     path = tmp_path / name
     path.write_text(content)
     assert code_of(read_landmarks, path).code == code
+
+
+@pytest.mark.parametrize(
+    ("name", "content"), [("a.csv", "sellion,1,2,3\n"), ("a.json", '{"sellion": [1, 2, 3]}')]
+)
+def test_a_mark_of_byte_order_costs_no_landmark(tmp_path, name, content):
+    (tmp_path / name).write_text(content, encoding="utf-8-sig")
+    assert [*read_landmarks(tmp_path / name)] == ["sellion"]
 
 
 def test_landmarks_in_one_place_are_refused(points, template):

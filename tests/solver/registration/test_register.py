@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from benchmarks.corruption import Corruption, corrupted
 from solver.errors import InputError
 from solver.meshio.raw import mend
-from solver.registration.register import register
+from solver.registration.register import near_head, register
 from solver.registration.report import report
 from solver.registration.topology import topology
 from solver.registration.units import FRAME
@@ -73,6 +74,26 @@ def test_holes_have_no_confidence_and_the_rest_lies_on_the_scan(known, neutral):
     assert figures["mean_mm"] < 0.3
     assert figures["coverage"] == pytest.approx(covered, abs=1e-3)
     assert "registration.holes" in [finding["code"] for finding in figures["findings"]]
+
+
+def test_what_is_far_off_makes_the_face_no_coarser(known, person, neutral):
+    head = mend(corrupted(person[0], 3, Corruption(unit_mm=10.0)))[0]
+    body = trimesh.creation.icosphere(subdivisions=3, radius=900.0)
+    far = neutral.start.motion.inverse()(np.asarray(body.vertices) - [0.0, 1500.0, 0.0])
+    count = len(head.vertices)
+    raw = replace(
+        head,
+        vertices=np.vstack([head.vertices, far / neutral.start.mm_per_unit]),
+        faces=np.vstack([head.faces, np.asarray(body.faces) + count]),
+        normals=None,
+        colours=None,
+    )
+    near = near_head(raw, neutral.start, known.template.skin.vertices, most=count)
+    assert 0.5 * count < len(near.vertices) <= count
+    assert near.faces.max() == len(near.vertices) - 1
+    assert np.isin(near.vertices, head.vertices).all()
+    cloud = replace(raw, faces=np.zeros((0, 3), np.int64))
+    assert len(near_head(cloud, neutral.start, known.template.skin.vertices, count).faces) == 0
 
 
 def test_expression_keeps_the_head_where_the_neutral_has_it(known, person, neutral):

@@ -57,6 +57,15 @@ def test_a_folder_of_scans_is_read_by_name(tmp_path: Path) -> None:
     np.testing.assert_allclose(second.vertices[4], FRAMES[1, FACE[4]], rtol=1e-5)
 
 
+def test_frames_of_a_folder_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    for number in (1, 2, 10):
+        moved = NEUTRAL.with_vertices(NEUTRAL.vertices + np.array([0.0, 0.0, number]))
+        write_obj(tmp_path / f"f.{number}.obj", moved)
+    (tmp_path / "._f.1.obj").write_bytes(b"of a Mac")
+    take = open_performance(tmp_path, NEUTRAL, FACE)
+    assert [path.name for path in take.paths] == ["f.1.obj", "f.2.obj", "f.10.obj"]
+
+
 def test_a_broken_scan_in_a_folder_names_its_frame(tmp_path: Path) -> None:
     write_obj(tmp_path / "a.obj", NEUTRAL)
     (tmp_path / "b.obj").write_text("v 0 0 nan\n")

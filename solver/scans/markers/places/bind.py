@@ -210,8 +210,9 @@ def rest_places(markers: MarkerSet, skin: Surface) -> Floats:
     Ignored markers have no place: NaN.
     """
     on_skin = places_over(skin.vertices[markers.vertices], markers.weights, markers.heights)
-    is_face = np.array([each.part == "face" for each in markers.markers], bool)
-    return np.where(is_face[:, None], on_skin, markers.places)
+    parts = np.array([each.part for each in markers.markers])
+    places = np.where((parts == "face")[:, None], on_skin, markers.places)
+    return np.where((parts == "ignore")[:, None], np.nan, places)
 
 
 def onto_places(points: Floats, goal: Floats, least: int = FACE.least) -> Similarity | None:

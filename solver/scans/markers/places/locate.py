@@ -26,7 +26,7 @@ from solver.registration.search import (
 from solver.registration.units import ScanUnit, UnitOptions, choose_unit, likely_unit
 from solver.scans.markers.readers.names import Named
 from solver.scans.markers.signal.motion import rms_of_seen
-from solver.similarity import IDENTITY, Similarity, fit_similarity, robust_motion
+from solver.similarity import IDENTITY, Similarity, fit_similarity, robust_motion, weighted_motion
 from solver.surface import Floats, Ints, Surface, nearest_sphere, unit_rows
 
 FLIP = np.diag([-1.0, 1.0, 1.0])  # left and right exchanged
@@ -203,7 +203,9 @@ def _slide(
     few, used = chosen
     size = start.scale if unit.source == "template" else unit.mm_per_unit
     rough = start(points[few])
-    begin = robust_motion(points[few] * size @ _hand(start), rough, np.ones(len(few)), 10.0, 3)
+    handed = points[few] * size @ _hand(start)
+    even = np.ones(len(few))
+    begin = robust_motion(handed, rough, even, 10.0, 3, weighted_motion(handed, rough, even))
     begin = Similarity(size, begin.rotation @ _hand(start), begin.shift)
     tries = []
     for height in sorted(LOCATE.heights, key=lambda each: abs(each - LOCATE.usual_height)):

@@ -220,7 +220,8 @@ def read_labels(file: str, names: Sequence[str], count: int) -> Labels:
         texts = [parts[at][1] for at in labelled]
         subject = ", ".join(filter(None, subjects))
     labels, more = _number_labels(file, texts)
-    names_of_others = [parts[at][1] or f"#{at + 1}" for at in others]
+    # none is alike another: they may be all the labels that a take has
+    names_of_others, _ = _number_labels(file, [parts[at][1] or f"#{at + 1}" for at in others])
     return Labels(
         tuple(labels),
         labelled,

@@ -59,9 +59,11 @@ class Table:
 
     def timed_rate(self) -> list[tuple[str, float]]:
         """Return the rate in Hz by the times, as :func:`choose_rate` takes it."""
-        span = self.times[-1] - self.times[0]
-        steps = self.numbers[-1] - self.numbers[0]
-        return [("its times", steps / span)] if span > 0 and steps else []
+        if len(self.numbers) < 2:
+            return []
+        # the usual step: a clock may jump, or be set anew
+        step = float(np.median(np.diff(self.times) / np.diff(self.numbers)))
+        return [("its times", 1.0 / step)] if step > 0 else []
 
 
 def read_lines(file: str, stream: IO[bytes], options: TakeOptions) -> Iterator[TableLine]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,10 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
+from solver.scans.markers.places.bind import rest_places
 from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.similarity import Similarity
+from solver.surface import Surface
 
 MIRROR = Similarity(1.0, np.diag([-1.0, 1.0, 1.0]), np.array([1.0, 2.0, 3.0]))
 MARKERS = (
@@ -35,6 +38,15 @@ def test_a_set_is_read_as_it_was_written(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read.places[1], [1.0, 2.0, 3.0])
     assert np.isnan(read.places[0]).all()
     assert read.of_part("head", "upper_teeth").tolist() == [1]
+
+
+def test_markers_have_places_at_rest_but_for_those_that_are_ignored() -> None:
+    ignored = replace(MARKERS[2], place_mm=(1.0, 2.0, 3.0))  # as binding leaves it
+    markers = replace(SET, markers=(*MARKERS[:2], ignored))
+    skin = Surface(np.random.default_rng(0).normal(size=(20, 3)), np.zeros((0, 3), np.int64))
+    places = rest_places(markers, skin)
+    assert np.isfinite(places[:2]).all()
+    assert np.isnan(places[2]).all()
 
 
 def _change(path: str, value: Any) -> Callable[[dict[str, Any]], None]:

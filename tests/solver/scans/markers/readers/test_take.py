@@ -10,6 +10,7 @@ import pytest
 
 from solver.errors import Finding, InputError
 from solver.scans.markers.readers.raw_take import TakeEvent, TakeOptions, make_finding
+from solver.scans.markers.readers.table import Table
 from solver.scans.markers.readers.take import Take, read_take
 from tests.fixtures import data_folder
 from tests.take_files import (
@@ -280,6 +281,8 @@ def test_a_take_of_unlabelled_tracks_only(tmp_path: Path) -> None:
     assert take.positions.shape == (4, 0, 3)
     assert take.unlabelled.shape == (4, 3, 3)
     assert codes(take) == [("labels", "warning")]
+    take = read(tmp_path, c3d_bytes(face_points(4, 3), ["*", "*", "*"]))
+    assert len(set(take.unlabelled_names)) == 3
 
 
 @pytest.mark.parametrize(
@@ -319,6 +322,14 @@ def test_rates_that_are_missing_or_differ_are_told(tmp_path: Path) -> None:
     assert take.rate == 60.0
     assert codes(take) == [("rate", "warning")]
     assert not read(tmp_path, trc_bytes(points, rate=1000.0)).findings
+
+
+def test_times_that_jump_are_of_the_same_rate() -> None:
+    points = np.zeros((50, 1, 3))
+    for jump in (5.0, -0.3):
+        times = np.arange(50) / 100.0 + jump * (np.arange(50) > 25)
+        ((_, rate),) = Table([*range(50)], times.tolist(), points).timed_rate()
+        assert rate == pytest.approx(100.0)
 
 
 def test_points_out_of_the_world_count_as_missing(tmp_path: Path) -> None:
