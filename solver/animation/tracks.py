@@ -138,7 +138,8 @@ class KeyedTracks(ShapeDrives):
     Weights are interpolated, each by itself, and the ``head`` turns about the neck. What the keys
     ask for is added to other drives, ``under`` them, if there are any. Raises
     :class:`InputError`: as :func:`solver.animation.track`, ``tracks.name`` for a shape that there
-    is not, and ``scene.shapes`` for what else than shapes and a jaw a key has.
+    is not, and ``scene.shapes`` for what else than shapes and a jaw a key has, in the list of keys
+    that the scene calls ``what``.
     """
 
     def __init__(
@@ -151,6 +152,7 @@ class KeyedTracks(ShapeDrives):
         head: Sequence[HeadKey] = (),
         interpolation: Interpolation = "smooth",
         under: ShapeDrives | None = None,
+        what: str = "keys",
     ) -> None:
         self.times = times
         self._shapes = shapes
@@ -158,11 +160,11 @@ class KeyedTracks(ShapeDrives):
         for number, key in enumerate(keys):
             if key.expressions or key.activations or key.fibres:
                 reason = "the face is driven by its tracks, and these by shapes alone"
-                message = f"keys[{number}] has expressions, muscles or fibres, but {reason}"
+                message = f"{what}[{number}] has expressions, muscles or fibres, but {reason}"
                 raise InputError("scene.shapes", message, key=number)
         rows = [shapes.tracks.controls(key.shapes, key.jaw) for key in keys]
         values = np.reshape(rows, (len(keys), shapes.tracks.size))
-        self._track = track([key.time for key in keys], values, "keys", interpolation)
+        self._track = track([key.time for key in keys], values, what, interpolation)
         self._head = head_motion(head, neck(model), interpolation)
 
     @override

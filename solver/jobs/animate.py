@@ -238,7 +238,7 @@ def _fit_frames(
         task.progress(Step("exact", part, done, message=words))
 
     motions = driven_motions(rig.model, read_template(task).shapes)
-    changes, fitted = fit_frames(face, shapes, motions, weights, chosen, listen)
+    changes, fitted = fit_frames(face, shapes, motions, weights, chosen, rig.limits, listen)
     played.transfer["exact"] = int(fitted.sum())
     played.arrays["exact"] = fitted
     return changes

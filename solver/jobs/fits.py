@@ -35,7 +35,7 @@ from solver.meshio.registered import RegisteredScan, read_registered
 from solver.model import SubjectModel
 from solver.progress import ProgressCallback, Step
 from solver.rig import ExpressionFit, Rig, System
-from solver.rig.exporters import export, write_rig
+from solver.rig.exporters import write_rig
 from solver.rig.expression import errors_on_skin, refuse_not_finite
 from solver.rig.report.certificate import certify, with_round_trips
 from solver.scans.known_activations import NOTHING, KnownMuscles, read_known
@@ -233,10 +233,6 @@ def leave_rig(
     rig = replace(rig, expressions=fits, seconds=seconds)
     progress(Step("export", 0.85, message="certificate, exports and pictures"))
     files = write_rig(rig, certify(face, rig, settings, information), out)
-    if rig.systems:
-        files.append(export(rig, "systems", out / "systems.glb"))
-    for letter in rig.systems:
-        files.append(export(rig, "view", out / f"view_{letter}.bin", {"system": letter}))
     progress(Step("done", 1.0))
     return files
 

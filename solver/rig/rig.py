@@ -248,7 +248,11 @@ def _weights_from(data: Arrays, model: SubjectModel, path: Path) -> sp.csr_array
     if str(data["model"]) != _model_hash(model):
         raise other_model(path)
     parts = (data["data"], data["indices"], data["indptr"])
-    return sp.csr_array(parts, shape=tuple(data["shape"].tolist()))
+    S = sp.csr_array(parts, shape=tuple(data["shape"].tolist()))
+    S.check_format(full_check=True)
+    if S.shape != (wanted := (len(model.tets), model.muscle_count + 1)):
+        raise ValueError(f"S has the shape {S.shape}, not {wanted}")
+    return S
 
 
 def _model_hash(model: SubjectModel) -> str:

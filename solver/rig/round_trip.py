@@ -42,7 +42,7 @@ class RoundTrip:
     skin_max_mm: float = np.nan
     refit_mean_mm: float = np.nan  # between the simulated and the fitted-again skin
     refit_max_mm: float = np.nan
-    activation_error: float = np.nan  # of the function below; NaN too if no muscle is excited
+    activation_error: float = np.nan  # NaN too if no muscle is excited
 
     @property
     def is_reached(self) -> bool:

@@ -99,9 +99,21 @@ def drives_of(
         fibres=fibres,
         limits=limits,
     )
-    for number, key in enumerate(keys):
-        check_jaw(drives(key.time).jaw, f"keys[{number}]")
+    _check_jaws(drives, keys, plays=under is not None)
     return drives
+
+
+def _check_jaws(
+    drives: Drives, keys: Sequence[PoseKey], *, plays: bool, what: str = "keys"
+) -> None:
+    """Check the jaw at every key, and in every frame where something ``plays`` under the keys.
+
+    The scene calls the list of keys ``what``.
+    """
+    for number, key in enumerate(keys):
+        check_jaw(drives(key.time).jaw, f"{what}[{number}]")
+    for time in drives.times.tolist() if plays and keys else []:
+        check_jaw(drives(time).jaw, f"{what} and what they are added to at {time:.3f} s")
 
 
 def _frame_times(scene: SimulateScene, ends: Sequence[float]) -> Floats:
@@ -127,7 +139,13 @@ def track_drives_of(
     if played is not None:
         own = read(played.entry.keys)
         under = KeyedTracks(
-            own, shapes, model, played.times, interpolation=interpolation, under=played
+            own,
+            shapes,
+            model,
+            played.times,
+            interpolation=interpolation,
+            under=played,
+            what="performance.keys",
         )
     keys = read(scene.keys)
     ends = [] if under is None else [float(under.times[-1])]
@@ -136,8 +154,7 @@ def track_drives_of(
     drives = KeyedTracks(
         keys, shapes, model, times, head=head, interpolation=interpolation, under=under
     )
-    for number, key in enumerate(keys):
-        check_jaw(drives(key.time).jaw, f"keys[{number}]")
+    _check_jaws(drives, keys, plays=under is not None)
     return drives
 
 
@@ -231,8 +248,7 @@ def performances_of(
                 limits=limits,
             )
         )
-        for place, key in enumerate(keys):
-            check_jaw(layered[-1](key.time).jaw, f"{what}[{place}]")
+        _check_jaws(layered[-1], keys, plays=True, what=what)
     return MixedPerformances(played, layered)
 
 

@@ -125,6 +125,7 @@ def fit_frames(
     motions: Mapping[str, Floats],
     weights: Floats,
     chosen: NDArray[np.bool_],
+    limits: FeasibleSet | None = None,
     listen: Callable[[int], None] = lambda _count: None,
 ) -> tuple[FrameChanges, NDArray[np.bool_]]:
     """Fit the ``chosen`` (f,) of frames with ``weights`` (f, e) of ``shapes``.
@@ -132,7 +133,8 @@ def fit_frames(
     Return what that adds to the shapes' own poses, and which frames (f,) were fitted: the others
     stay as the shapes have them.
 
-    ``motions`` are the shapes' (k, 3) on the face, mm. A fit begins at the frame before where that
+    ``motions`` are the shapes' (k, 3) on the face, mm; ``limits`` those within which the shapes'
+    poses are played. A fit begins at the frame before where that
     was fitted as well, else at the shapes' own pose. ``listen`` hears of the number that are done.
     """
     tracker = MixtureTracker(face, np.array([motions[name] for name in shapes.names]))
@@ -141,7 +143,7 @@ def fit_frames(
     jaws = np.zeros((len(weights), 5))
     fitted = np.zeros(len(weights), bool)
     for count, frame in enumerate(np.flatnonzero(chosen).tolist()):
-        begin = shapes.pose_of(weights[frame])
+        begin = shapes.pose_of(weights[frame], limits)
         follows = frame and fitted[frame - 1]
         found = tracker.fit(weights[frame], None if follows else Pose(begin.a, begin.jaw))
         if found is not None:

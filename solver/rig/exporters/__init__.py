@@ -6,8 +6,9 @@ need an extra.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, cast
@@ -91,8 +92,7 @@ def export_measured(
         message = f"{name} has no setting {quote(strange[0])}: it has {', '.join(known) or 'none'}"
         raise InputError("export.options", message, found=quote(strange[0]), expected=known)
     try:
-        given = chosen.Options(**(options or {}))
-        TypeAdapter(chosen.Options).validate_python(asdict(given))
+        given = TypeAdapter(chosen.Options).validate_json(json.dumps(options or {}), strict=True)
     except (TypeError, ValidationError) as error:
         raise InputError("export.options", f"options of {name}: {error}") from error
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -119,14 +119,20 @@ def export_all(rig: Rig, folder: Path) -> list[Exported]:
 def write_rig(rig: Rig, certificate: Certificate, out: Path) -> list[Path]:
     """Write the rig into the folder ``out`` and return the paths of its files.
 
-    These are those of all exporters that belong to every rig (``rig.npz``, ``rig.glb`` ...), its
-    parts for programs that read 0.1, its report, and a picture of each expression.
+    These are those of all exporters that belong to every rig (``rig.npz``, ``rig.glb`` ...), those
+    that show its systems, its parts for programs that read 0.1, its report, and a picture of each
+    expression.
     """
     out.mkdir(parents=True, exist_ok=True)
     figures = report(rig, certificate)
     figures_file = out / "report.json"
     page = out / "report.html"
     exported = export_all(replace(rig, figures=figures), out)
+    if rig.systems:
+        exported.append(export_measured(rig, "systems", out / "systems.glb"))
+    for letter in rig.systems:
+        file = out / f"view_{letter}.bin"
+        exported.append(export_measured(rig, "view", file, {"system": letter}))
     measured = {each.path.name: each.figures for each in exported}
     write_json(figures_file, {**figures, "files": measured})
     files = [*(each.path for each in exported), *rig.save_as_0_1(out)]

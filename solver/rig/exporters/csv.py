@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from solver.rig.expression import ENTRIES
 from solver.rig.frames.read_back import compare_activations
@@ -23,7 +24,7 @@ JAW = ("jaw.1", "jaw.2", "jaw.3", "jaw.4", "jaw.5")
 class Options:
     """Format of the numbers."""
 
-    decimals: int = 6
+    decimals: Annotated[int, Field(ge=0, le=17)] = 6
 
 
 def write(rig: Rig, path: Path, options: Options = Options()) -> None:

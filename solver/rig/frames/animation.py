@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from importlib.util import find_spec
+from itertools import repeat
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -241,6 +242,9 @@ def contact_sheet(
 CODECS = {"libx264": {"crf": "18", "preset": "medium"}, "mpeg4": {"qscale": "3"}}
 
 
+TICK = Fraction(1, 60_000)  # s, of films whose frames are not even: MPEG-4 has at most 65535
+
+
 def check_video() -> None:
     """Raise :class:`InputError` (``options.video``) where films cannot be written."""
     if find_spec("av") is None:
@@ -248,8 +252,18 @@ def check_video() -> None:
         raise InputError("options.video", message)
 
 
-def write_video(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], fps: float) -> None:
-    """Write sRGB ``pictures`` (h, w, 3) from 0 to 1, w and h even; see :func:`check_video`."""
+def write_video(
+    path: Path,
+    pictures: Iterable[Pixels],
+    size: tuple[int, int],
+    fps: float,
+    times: Iterable[float] | None = None,
+) -> None:
+    """Write sRGB ``pictures`` (h, w, 3) from 0 to 1, w and h even; see :func:`check_video`.
+
+    They come ``fps`` a second, or at ``times`` in s, as those of a recording whose frames are not
+    even.
+    """
     check_video()
     import av
 
@@ -260,9 +274,16 @@ def write_video(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], f
         assert isinstance(stream, av.VideoStream)
         stream.width, stream.height = size
         stream.pix_fmt = "yuv420p"
-        for picture in pictures:
+        if times is not None:
+            stream.codec_context.time_base = TICK
+        moments: Iterator[float | None] = repeat(None) if times is None else iter(times)
+        for picture, moment in zip(pictures, moments):  # noqa: B905
             pixels = np.ascontiguousarray((picture * 255.0 + 0.5).astype(np.uint8))
-            film.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
+            frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
+            if moment is not None:
+                frame.time_base = TICK
+                frame.pts = round(moment / TICK)
+            film.mux(stream.encode(frame))
         film.mux(stream.encode())
 
 
@@ -273,7 +294,6 @@ class FilmingOptions:
     shots: int = 8  # frames in the picture
     size: tuple[int, int] = (480, 576)  # of the film, pixels
     lit_every: int = 6  # of so many frames, one is lit by itself
-    least_fps: float = 1.0  # of a slower animation the film is faster
     single_fps: float = 30.0  # of an animation of one frame
 
 
@@ -334,8 +354,7 @@ def write_animation(
         files.append(film)
         pictures = _film(filming, len(frames), shot, options)
         usual = 1.0 / float(np.median(np.diff(times))) if len(times) > 1 else options.single_fps
-        fps = max(options.least_fps, round(usual, 2))
-        write_video(film, pictures, options.size, fps)
+        write_video(film, pictures, options.size, round(usual, 2), (times - times[0]).tolist())
     return files
 
 

@@ -147,6 +147,9 @@ def _write_animation(
     basis = span_skins(neutral, skins, options.basis)
     normals = normal_shapes(neutral, skins, basis, options.basis)
     stretch = np.clip(1.0 / np.maximum(_greatest(normals), 1e-9), 1.0, options.most_stretch)
+    # fractions of a metre, and of a normal's length, go to 1
+    farthest = METRES * np.abs(basis.shapes).max(axis=(1, 2), initial=1e-9)
+    stretch = np.minimum(stretch, np.maximum(1.0 / farthest, 1.0))
     steps = SHORT * METRES * stretch[:, None, None]
     read_back = (np.rint(basis.shapes * steps) / steps).astype(np.float32)
     rounded = replace(basis, shapes=read_back)
@@ -217,12 +220,12 @@ def _rigid_error(shape: Surface, places: Floats, times: Floats) -> Error:
         # by glTF it turns steadily, Blender draws quaternions' entries as lines: both count
         steady = Slerp(ends, turns[[first, last]])(now)
         straight = Rotation.from_quat(on_lines(ends, quaternions, now))
+        wanted = turns[frames].as_matrix()
         apart = [
-            way[number].apply(corners) - turns[frame].apply(corners) + shifts[number]
-            for number, frame in enumerate(frames)
+            corners @ np.swapaxes(way.as_matrix() - wanted, 1, 2) + shifts[:, None]
             for way in (steady, straight)
         ]
-        return np.asarray(_greatest(np.array(apart)).reshape(-1, 2).max(axis=1))
+        return np.asarray(_greatest(np.array(apart)).max(axis=0))
 
     return error
 

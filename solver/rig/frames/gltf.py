@@ -6,10 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 import pygltflib as gl
+from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from solver.drawing.head import skin_parts
@@ -32,14 +33,19 @@ MATERIALS = {  # linear base colour and opacity, roughness
 }
 
 
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+# of 24 frames a second, which USD counts by, there is one in between
+Seconds = Annotated[float, Field(ge=0.05, le=60.0, allow_inf_nan=False)]
+
+
 @dataclass(frozen=True)
 class MorphTargetOptions:
     """Limits below which a shape is still, and the times in which shapes are shown in turn."""
 
-    still_mm: float = 1e-3  # a vertex that moves less is left out of a sparse target
-    still_normal: float = 1e-3  # and one whose normal turns less, of length 1
-    move_seconds: float = 0.6  # from the neutral to a shape, and back
-    hold_seconds: float = 0.4
+    still_mm: NotNegative = 1e-3  # a vertex that moves less is left out of a sparse target
+    still_normal: NotNegative = 1e-3  # and one whose normal turns less, of length 1
+    move_seconds: Seconds = 0.6  # from the neutral to a shape, and back
+    hold_seconds: Seconds = 0.4
 
     def keys(self, count: int) -> tuple[Floats, Floats]:
         """Return times (k,) in s and weights (k, count): neutral, shape, neutral, one by one."""

@@ -139,6 +139,8 @@ class ReadJoints:
         matrices = chain(self.rest, turns)
         placed = np.zeros(skins.shape)
         for bone, weight in zip(self.bones.T, self.weights.T, strict=True):
+            if not weight.any():
+                continue
             chosen = matrices[:, bone]
             moved = np.einsum("fvij,fvj->fvi", chosen[..., :3, :3], skins)
             placed += weight[:, None] * (moved + chosen[..., :3, 3])

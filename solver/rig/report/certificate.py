@@ -229,7 +229,7 @@ class Certificate:
     """The checks of a rig: expression -> check, and the ``settings`` of the job that made it.
 
     ``information`` is that of the training scans on each muscle; None where no state is known.
-    ``strayed`` is that of :func:`strayed`.
+    ``strayed`` is that of :func:`stray_parts`.
     """
 
     expressions: dict[str, ExpressionCheck]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -95,11 +95,13 @@ def write_edit(person: EditedPerson, report: dict[str, Any], out: Path) -> list[
     edited = person.edited
     reached = [(each.name, each.after) for each in person.expressions if each.after is not None]
     poses = [person.after, *(after for _, after in reached)]
+    taken = {name for name, _ in reached}
+    at_rest, unedited = (_free_name(name, taken) for name in (NEUTRAL, "unedited"))
     np.savez_compressed(
         files[1],
         allow_pickle=False,
         format=np.array(FORMAT),
-        names=np.array(["neutral", *(name for name, _ in reached)], dtype=np.str_),
+        names=np.array([at_rest, *(name for name, _ in reached)], dtype=np.str_),
         skin=np.array([pose.skin for pose in poses], dtype=np.float32),
         x=np.array([pose.x for pose in poses]),
         growth=edited.growth,
@@ -108,11 +110,11 @@ def write_edit(person: EditedPerson, report: dict[str, Any], out: Path) -> list[
         bones=edited.bones,
         **csr_arrays("S", edited.S),
     )
-    shapes = {"unedited": person.before.skin, **{name: after.skin for name, after in reached}}
+    shapes = {unedited: person.before.skin, **{name: after.skin for name, after in reached}}
     write_face(files[2], edited.model.skin.with_vertices(person.after.skin), shapes, in_turn)
     stored = read_arrays(files[1])
     packed = dict(zip(stored["names"].tolist(), stored["skin"], strict=True))
-    skins = {NEUTRAL: person.after.skin, **{name: after.skin for name, after in reached}}
+    skins = {at_rest: person.after.skin, **{name: after.skin for name, after in reached}}
     measured = {
         files[1].name: compare_expressions(files[1], packed, skins),
         files[2].name: compare_expressions(
@@ -121,6 +123,13 @@ def write_edit(person: EditedPerson, report: dict[str, Any], out: Path) -> list[
     }
     write_json(files[0], {**report, "files": measured})
     return files
+
+
+def _free_name(name: str, taken: Collection[str]) -> str:
+    """Return a name that no expression has: this one, or with bars behind it."""
+    while name in taken:
+        name += "_"
+    return name
 
 
 def _volume(person: EditedPerson) -> dict[str, float]:

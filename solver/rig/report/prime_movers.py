@@ -134,7 +134,7 @@ def movers(
     actions: Iterable[Action],
     options: MoverOptions = MoverOptions(),
 ) -> Movers:
-    """Judge the ``actions`` of an expression by the ``contractions`` of :func:`ranked`."""
+    """Judge an expression's ``actions`` by its ``contractions``, of :func:`rank_contractions`."""
     actions = tuple(actions)
     found = dict(contractions)
     own = {name: wholes[name] for name in found}

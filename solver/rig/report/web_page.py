@@ -25,6 +25,7 @@ from solver.rig.report.checks import overall
 FILES = {
     "rig.npz": "the rig in one file: model, matrix S and expressions",
     "rig.glb": "the skin with one named morph target per expression",
+    "rig.usdc": "the same for programs that read USD",
     "systems.glb": "the same skin by every system, side by side",
     "activations.npz": "muscle activations, jaw and flesh of every expression",
     "activations.csv": "the same activations as a table",

@@ -59,12 +59,14 @@ def carry_texture(
     """Return texture coordinates of a level's triangles by those of the ``full`` skin.
 
     A triangle lies in the chart that is nearest to its middle; its corners have the coordinates of
-    the places in that chart which are nearest to them.
+    the places in that chart which are nearest to them. What lies in no chart, as an eyeball behind
+    its lids, is no part of the skin.
     """
     middles = level.vertices[level.faces].mean(axis=1)
-    _, nearest, _ = igl.point_mesh_squared_distance(middles, full.vertices, full.faces)
+    mapped = coordinates.mapped
+    _, nearest, _ = igl.point_mesh_squared_distance(middles, full.vertices, full.faces[mapped])
     chart_of = coordinates.charts
-    chart = chart_of[nearest]
+    chart = chart_of[mapped[nearest]]
     corners = np.full(level.faces.shape, NOWHERE, np.int32)
     places = [np.zeros((0, 2))]
     count = 0

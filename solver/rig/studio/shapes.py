@@ -168,6 +168,7 @@ def solve_studio_shapes(
     def make(name: str, eyes: Floats) -> Made:
         """Return the best that muscles make of a shape, else the template's own."""
         under = CORRECTED.get(name, name)
+        under = under if under in sculpted else name
         share = solved_at(name)
         wanted = neutral + share * (sculpted[name] + (sculpted[under] if under != name else 0.0))
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
-from solver.animation.controls.exact import MixtureFitOptions, MixtureTracker
+from solver.animation.blendshapes import ShapedPose, keep_within
+from solver.animation.controls.exact import MixtureFitOptions, MixtureTracker, fit_frames
+from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face, Pose
+from solver.fitting.interior_point import FeasibleSet
 from solver.surface import Floats
 from tests.solver.block import block_model
 
@@ -52,6 +57,33 @@ def test_a_mixture_is_fitted_until_a_frames_steps_gain_no_more(face: Face, motio
         off = [np.inf if fit is None else fit.off_mm for fit in fits]
     assert off[1] < 0.9 * off[0]
     assert off[2] > 0.95 * off[1]
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """Shapes whose muscles go beyond what ``limits`` leave of them."""
+
+    face: Face
+    names: tuple[str, ...] = ("a", "b")
+
+    def pose_of(self, weights: Floats, limits: FeasibleSet | None = None) -> ShapedPose:
+        a, clamped = keep_within(np.tile([0.2, 0.0, 0.0, 1.0, 0.0, 1.0], (2, 1)), limits)
+        return ShapedPose(a, np.zeros(5), clamped)
+
+
+def test_frames_are_played_as_they_were_fitted_where_shapes_go_beyond_limits(
+    face: Face, motions: Floats
+) -> None:
+    within = face.driven_as(Admissible())
+    limits = within.layout.bounds.feasible
+    shapes = Beyond(within)
+    weights = np.array([[0.2, 0.0]])
+    assert limits is not None
+    by_name = dict(zip(shapes.names, motions, strict=True))
+    changes, fitted = fit_frames(within, shapes, by_name, weights, np.array([True]), limits)
+    assert fitted.all()
+    played = shapes.pose_of(weights[0], limits).a + changes.activations[0]
+    assert (limits.margins(played) > -1e-9).all()
 
 
 def test_sensitivities_that_expired_are_made_anew_for_one_frame(

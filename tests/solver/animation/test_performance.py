@@ -214,6 +214,13 @@ def test_performances_are_mixed_by_muscle_and_keys_lie_on_top(take: Path) -> Non
     np.testing.assert_allclose(only.a[1], [1.0, 0, 0, 1.1, 0, 1], atol=1e-12)
 
 
+def test_keys_over_a_performance_are_checked_in_every_frame(take: Path) -> None:
+    with pytest.raises(InputError, match="keys and what they are added to at") as caught:
+        played(take, take_of(), keys=[{"time": 0, "jaw": {"open_deg": 40}}])
+    assert caught.value.code == "scene.jaw"
+    played(take, take_of(), keys=[{"time": 0, "jaw": {"open_deg": 30}}])
+
+
 @pytest.mark.parametrize(
     ("scene", "code", "words"),
     [
@@ -244,6 +251,11 @@ def test_performances_are_mixed_by_muscle_and_keys_lie_on_top(take: Path) -> Non
             take_of(keys=[{"time": 1, "jaw": {"open_deg": 44}}]),
             "scene.jaw",
             "performance[0].keys[0]",
+        ),
+        (
+            take_of(keys=[{"time": 0, "jaw": {"open_deg": 40}}]),  # and the take opens it further
+            "scene.jaw",
+            "performance[0].keys and what they are added to at ",
         ),
         (take_of(asset="folded"), "scene.jaw", "frame 104 of the performance 'folded'"),
         (

@@ -100,6 +100,16 @@ def test_the_picture_says_how_many_expressions_it_leaves_out(
     assert headings[1].endswith("; 4 of 5 expressions are shown")
 
 
+def test_expressions_may_be_called_as_an_edit_calls_its_own(rig: Path, tmp_path: Path) -> None:
+    [wide] = Rig.load(rig).expressions
+    named = tuple(replace(wide, name=name) for name in ("unedited", "neutral"))
+    Rig(MODEL, MODEL.weights, named).save(tmp_path / "rig.npz")
+    run(tmp_path / "rig.npz", tmp_path / "out", PALSY)
+    with np.load(tmp_path / "out" / "edit.npz") as data:
+        assert data["names"].tolist() == ["neutral_", "unedited", "neutral"]
+    assert validate_glb(tmp_path / "out" / "edit.glb", ["unedited_", "unedited", "neutral"]) == []
+
+
 @pytest.mark.parametrize(
     ("scene", "code"),
     [

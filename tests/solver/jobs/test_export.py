@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -55,10 +56,16 @@ def test_settings_are_the_exporter_s(rig: Rig, tmp_path: Path) -> None:
     made = export(tmp_path / "out", files, **table, settings={"decimals": 2})
     assert made.name == "smile.csv"
     assert ",1.00," in made.read_text()
-    for settings in ({"digits": 2}, {"decimals": "two"}):
+    for settings in ({"digits": 2}, {"decimals": "two"}, {"decimals": -1}, {"decimals": "3"}):
         with pytest.raises(InputError) as caught:
             run_job("export_rig", tmp_path, options={**table, "settings": settings}, **files)
         assert caught.value.code == "export.options"
+    for settings in ({"still_mm": "0.1"}, {"move_seconds": 0}, {"move_seconds": math.nan}):
+        with pytest.raises(InputError) as caught:
+            run_job("export_rig", tmp_path, options={"settings": settings}, **files)
+        assert caught.value.code == "export.options"
+    with pytest.raises(InputError, match="give its file another name"):
+        run_job("export_rig", tmp_path, options={**table, "file": "export.json"}, **files)
 
 
 def test_a_rig_of_the_release_before_becomes_one_file(rig: Rig, tmp_path: Path) -> None:

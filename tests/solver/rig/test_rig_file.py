@@ -242,6 +242,20 @@ def test_what_is_no_rig_is_refused(rig: Rig, tmp_path: Path) -> None:
         assert raised.value.code == "rig.unreadable"
 
 
+@pytest.mark.parametrize(("name", "value"), [("indices", 2_000_000_000), ("shape", 7)])
+def test_a_matrix_that_does_not_fit_its_model_is_refused(
+    rig: Rig, tmp_path: Path, name: str, value: int
+) -> None:
+    path = tmp_path / "rig.npz"
+    rig.save(path)
+    arrays = read_arrays(path)
+    arrays[f"weights_{name}"][0] = value
+    np.savez(path, **arrays)
+    with pytest.raises(InputError) as raised:
+        Rig.load(path)
+    assert raised.value.code == "rig.unreadable"
+
+
 def test_a_size_that_is_an_estimate_stays_one(rig: Rig, tmp_path: Path) -> None:
     assert "model.size" not in [notice.code for notice in rig.warnings]
     model = replace(rig.model, size_from="template")

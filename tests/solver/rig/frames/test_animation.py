@@ -105,6 +105,16 @@ def test_all_files_show_the_same(tmp_path: Path) -> None:
     assert changes[-1] > changes[1] > 0.2  # the head turns, the mouth opens
 
 
+def test_a_film_has_the_times_of_its_frames(tmp_path: Path) -> None:
+    av = pytest.importorskip("av")
+    times = [0.0, 1 / 30, 2 / 30, 2.0, 2.0 + 1 / 30]
+    plates = [np.full((64, 96, 3), 0.2 * number) for number in range(len(times))]
+    animation.write_video(tmp_path / "film.mp4", plates, (96, 64), 30.0, times)
+    with av.open(str(tmp_path / "film.mp4")) as film:
+        shown = [each.time for each in film.decode(video=0)]
+    np.testing.assert_allclose(np.array(shown) - shown[0], times, atol=1e-3)
+
+
 def test_a_film_without_its_library_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(animation, "find_spec", lambda _name: None)
     with pytest.raises(InputError, match="pip install") as caught:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from solver.anatomy.texture_coordinates import TextureCoordinates
+from solver.anatomy.texture_coordinates import NOWHERE, TextureCoordinates
 from solver.animation.blendshapes import Blendshapes
 from solver.contact.obstacles import Eyeball
 from solver.drawing.head import skin_parts
@@ -228,6 +228,16 @@ def test_a_level_of_detail_wears_the_texture_where_it_was() -> None:
         found.places[found.corners], level.vertices[level.faces][..., :2] / 1000.0, atol=1e-5
     )
     assert len(found.places) > len(np.unique(level.faces))  # split at the seam
+    # a ball behind the skin lies in no chart, and has nothing to say of it
+    ball = skin.vertices[skin.faces].mean(axis=1) - np.array([0.0, 0.0, 0.01])
+    count = len(skin.vertices)
+    faces = np.arange(len(ball) // 3 * 3).reshape(-1, 3) + count
+    nowhere = np.full(faces.shape, NOWHERE, np.int32)
+    eyed = Surface(np.vstack([skin.vertices, ball]), np.vstack([skin.faces, faces]))
+    behind = replace(coordinates, corners=np.vstack([corners, nowhere]))
+    nearer = level.with_vertices(level.vertices - np.array([0.0, 0.0, 0.01]))
+    again = carry_texture(behind, eyed, nearer)
+    np.testing.assert_array_equal(again.corners, found.corners)
 
 
 def test_its_usd_wears_the_texture(
