@@ -31,8 +31,8 @@ log = structlog.get_logger()
 class BridgeOptions:
     """Bounds of a bridge; times in s."""
 
-    in_solver: int = 32  # frames that the solver has without an answer: it follows the newest
-    silent: float = 0.5  # without an answer, after which it is given one more
+    in_solver: int = 32  # most frames sent to the solver and not yet answered
+    silent: float = 0.5  # without any answer, after which one more is sent anyway
     asks: float = 0.5  # how long the broker is asked for news at a time
     rests: float = 0.2  # after the broker failed
     looks_back: int = 16  # answers among which the last frame is looked for
@@ -75,7 +75,7 @@ class Bridge:
         ]
 
     def start(self) -> None:
-        """Begin, in an attempt that is not the first with the last frame of the one before."""
+        """Start the threads; a later attempt gets the last frame that the one before answered."""
         for thread in self._threads:
             thread.start()
 
@@ -99,7 +99,7 @@ class Bridge:
 
     def _read(self) -> None:
         """Read what the station sends, from the broker."""
-        last = self._begin()
+        last, newest = self._begin()
         while not self._stopping.is_set():
             try:
                 found: Any = self._reading.xread(
@@ -109,18 +109,28 @@ class Bridge:
                 self._rest(error)
                 continue
             with self._changed:
-                for _, fields in _entries(found):
-                    self._inbox.add(Sent.read(fields))
+                came = [(place, Sent.read(fields)) for place, fields in _entries(found)]
+                for place, sent in came:
+                    if not sent.is_frame or _order(place) > _order(newest):
+                        self._inbox.add(sent)
                 self._changed.notify_all()
-            last = next((place for place, _ in reversed(_entries(found))), last)
+            last = next((place for place, _ in reversed(came)), last)
+            if any(not sent.is_frame for _, sent in came):
+                with suppress(*AWAY):
+                    self._reading.set(self._names.read, last, ex=KEPT_SECONDS)
 
-    def _begin(self) -> bytes:
-        """Give the solver the last frame of the attempt before; return where to read from."""
+    def _begin(self) -> tuple[bytes, bytes]:
+        """Give the solver the last frame of the attempt before.
+
+        Return after which entry to read on, and up to which one of these words alone count: what
+        was said while nobody held the session is heard, frames of that time are gone.
+        """
         names = self._names
         while self._attempt > 1 and not self._stopping.is_set():
             try:
                 newest: Any = self._reading.xrevrange(names.out, count=self._options.looks_back)
                 came: Any = self._reading.xrevrange(names.into, count=1)
+                heard: Any = self._reading.get(names.read)
             except AWAY as error:
                 self._rest(error)
                 continue
@@ -130,8 +140,8 @@ class Bridge:
                 with suppress(ChannelClosedError):
                     self._channel.send(RESUME)
                     self._channel.send(frame)
-            return next((place for place, _ in came), b"0")
-        return b"0"
+            return heard or b"0", next((place for place, _ in came), b"0")
+        return b"0", b"0"
 
     def _pass_in(self) -> None:
         """Give the solver what came, a few frames at a time."""
@@ -248,6 +258,11 @@ class Bridge:
         self._is_told = False
         log.warning("broker.unreachable", error=str(error))
         self._stopping.wait(self._options.rests)
+
+
+def _order(place: bytes) -> tuple[int, ...]:
+    """Return what tells which of two entries of a stream is the later one."""
+    return tuple(map(int, place.split(b"-")))
 
 
 def _entries(found: Any) -> list[tuple[bytes, Fields]]:

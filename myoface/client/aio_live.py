@@ -24,7 +24,14 @@ from myoface.client.live_frames import (
     read_frame,
 )
 from myoface.client.retry import Backoff, ClientOptions
-from myoface.client.sockets import CLOSED, AsyncLock, AsyncSocket, address_of, describe_proxy
+from myoface.client.sockets import (
+    CLOSED,
+    AsyncLastWords,
+    AsyncLock,
+    AsyncSocket,
+    address_of,
+    describe_proxy,
+)
 from myoface.errors import UNREACHABLE, ApiError
 from myoface.resources import Artifact, FromJob, Rig
 
@@ -74,8 +81,9 @@ class AsyncLiveSessions(AsyncCaptures):
             await face.open(await self._open_socket(opened.url))
             yield face
         finally:
-            await face.close()
-            await self.end_live(opened.id)
+            with AsyncLastWords(self._options.timeout_s):
+                await face.close()
+                await self.end_live(opened.id)
 
     @asynccontextmanager
     async def join_live(

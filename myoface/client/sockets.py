@@ -107,6 +107,32 @@ AsyncLock = anyio.Lock
 Lock = threading.Lock
 
 
+class AsyncLastWords:
+    """Gives what is said at the end so many seconds, even in a task that was canceled."""
+
+    def __init__(self, seconds: float) -> None:
+        self._scope = anyio.move_on_after(seconds, shield=True)
+
+    def __enter__(self) -> None:
+        self._scope.__enter__()
+
+    def __exit__(self, *about: Any) -> bool | None:
+        return self._scope.__exit__(*about)
+
+
+class LastWords:
+    """Is the same where calls block, which nothing cancels."""
+
+    def __init__(self, _seconds: float) -> None:
+        pass
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *_about: object) -> None:
+        pass
+
+
 def _library(flavour: str) -> ModuleType:
     """Return the library's client, which only live sessions need."""
     try:

@@ -1,9 +1,10 @@
 """The streams of live sessions in the broker: what goes between a station and its session.
 
 ``live:<id>:in`` has what the station sent and ``live:<id>:out`` what the session answered, the
-newest of either; ``live:<id>:told`` the last message of each type, for who joins later, and
-``live:<id>:station`` the connection that the station has. All go by themselves when nobody writes
-any more: a session that is lost leaves nothing.
+newest of either; ``live:<id>:told`` the last message of each type, for who joins later,
+``live:<id>:station`` the connection that the station has, and ``live:<id>:read`` the last entry of
+``in`` whose words a session has heard: those after it are for the next attempt. All go by
+themselves when nobody writes any more: a session that is lost leaves nothing.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ KEPT_SECONDS = 300  # after the last write
 LARGEST = 1 << 20  # bytes of a message of a station's
 # Types of messages of which who joins later is told the last one, in this order
 TOLD = ("preparing", "ready", "recording", "ended")
+KEYS = ("in", "out", "told", "station", "read")
 
 # Add a message of the station that has the session, or has it still after the broker was away
 ADD = """
@@ -43,11 +45,12 @@ class Names(NamedTuple):
     out: str
     told: str
     station: str
+    read: str
 
     @classmethod
     def of(cls, session_id: str) -> Names:
         """Return those of a session."""
-        return cls(*(f"live:{session_id}:{what}" for what in ("in", "out", "told", "station")))
+        return cls(*(f"live:{session_id}:{key}" for key in KEYS))
 
 
 class Sent(NamedTuple):

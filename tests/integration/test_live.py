@@ -12,6 +12,7 @@ from array import array
 from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any
 
+import anyio
 import pytest
 import websockets.sync.client
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -261,6 +262,7 @@ def test_a_session_goes_on_after_a_kill(
             held_by = studio.job(face.id)["attempts"][-1]["worker"].split(":")[1]
             assert int(held_by) in (stack.pid("live"), stack.pid(SPARE))
             os.kill(int(held_by), signal.SIGKILL)
+            face.record("after")  # while nobody holds it
         elif what == "api":
             os.kill(stack.pid("api"), signal.SIGKILL)
         elif stack.settings.broker_url:
@@ -268,6 +270,8 @@ def test_a_session_goes_on_after_a_kill(
         else:
             os.kill(stack.pid("broker"), signal.SIGKILL)
         _follows_again(face, sent)
+        if what in ("worker", "host"):
+            face.stop()
     job = studio.job(face.id)
     assert job["state"] == "succeeded"
     outcomes = [attempt["outcome"] for attempt in job["attempts"]]
@@ -275,6 +279,8 @@ def test_a_session_goes_on_after_a_kill(
     assert outcomes == (["lost", "succeeded"] if is_lost else ["succeeded"])
     left = {each["name"] for each in job["result"]["artifacts"]}
     takes = ["before"] if what in ("host", "broker", "api") else ["before", "during"]
+    if what in ("worker", "host"):
+        takes.append("after")
     assert job["result"]["summary"]["takes"] == takes
     assert {name for name in left if name.endswith(".csv")} == {f"{take}.csv" for take in takes}
     if is_lost:
@@ -299,6 +305,20 @@ def test_a_client_that_vanishes_gives_its_place_back(live: tuple[Stack, Studio, 
     assert _next_frame(socket).number == 1
     socket.socket.close()
     assert studio.finished(opened["id"])["state"] == "succeeded"
+
+
+def test_a_client_that_is_canceled_ends_its_session(live: tuple[Stack, Studio, str]) -> None:
+    stack, studio, rig_id = live
+
+    async def hold() -> str:
+        async with AsyncClient(stack.url, stack.key) as client:
+            with anyio.CancelScope() as scope:
+                async with client.live(rig_id) as face:
+                    scope.cancel()
+                    await anyio.sleep_forever()
+            return face.id
+
+    assert studio.finished(anyio.run(hold))["state"] == "succeeded"
 
 
 def test_a_session_that_does_not_hear_is_canceled(
