@@ -53,7 +53,7 @@ from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.rig import Rig
-from solver.scans.performance import read_live_link
+from solver.scans.live_link import read_live_link
 from solver.similarity import IDENTITY as STILL
 from solver.simulation import Simulator
 from solver.simulation.forces import Drive

@@ -45,7 +45,7 @@ from solver.fitting.objective import Target
 from solver.mechanics.flesh import COROTATED_DET
 from solver.mechanics.linear import fastest
 from solver.rig import Rig
-from solver.scans.performance import read_live_link
+from solver.scans.live_link import read_live_link
 from solver.templates.ict_facekit import drive, ict_neutral, read_facekit
 
 SIZES_MM = (19.0, 13.0, 9.0, 5.5)

@@ -40,8 +40,8 @@ from solver.kinds.live_session import Source
 from solver.live.checks import Sample, open_solver
 from solver.live.session import LiveOptions, LiveSession
 from solver.photo.mesh_points import landmark_points
+from solver.scans.live_link import read_live_link
 from solver.scans.markers.places.marker_set import Marker, MarkerSet
-from solver.scans.performance import read_live_link
 from solver.similarity import IDENTITY
 from solver.surface import Floats
 from solver.templates.builtin.build import builtin_template

@@ -31,7 +31,7 @@ from myoface.client.live_frames import LiveFrame
 from myoface.stack import SPARE, Stack
 from service.settings import Settings
 from solver.kinds.live_session import Source
-from solver.scans.performance import ARKIT_NAMES, FaceTake, read_live_link
+from solver.scans.live_link import ARKIT_NAMES, FaceTake, read_live_link
 from solver.surface import Floats
 
 PARTS = ("session", "sources", "sessions", "resume", "soak")

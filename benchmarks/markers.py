@@ -46,10 +46,10 @@ from solver.live.markers import LiveMarkers
 from solver.mechanics.linear import fastest
 from solver.rig import Rig
 from solver.rig.preview import make_live_preview
+from solver.scans.live_link import read_live_link
 from solver.scans.markers.places.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.prepare import bind
 from solver.scans.markers.readers.take import read_take
-from solver.scans.performance import read_live_link
 from solver.similarity import IDENTITY
 from solver.surface import Floats
 from solver.templates.ict_facekit import FaceKit, drive, ict_neutral, read_facekit

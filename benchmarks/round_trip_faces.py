@@ -22,8 +22,8 @@ from benchmarks.documents import Figures, Section, Table
 from benchmarks.played_person import PlayedPerson
 from solver.registration.detector import EYE_CORNERS, DetectedFace, DetectorOptions, FaceDetector
 from solver.rig.painted_faces import PaintedFaces
+from solver.scans.live_link import ARKIT_NAMES
 from solver.scans.openface import UNITS, shapes_of_units
-from solver.scans.performance import ARKIT_NAMES
 from solver.surface import Floats
 from solver.templates.ict_facekit import arkit_source
 

@@ -61,7 +61,7 @@ from solver.rig.studio.levels import simplify
 from solver.rig.studio.lids import SIDES, Lids
 from solver.rig.studio.light_rig import DrivenBy, LightRig
 from solver.rig.studio.shapes import FleshShapes, StudioShapes, solve_studio_shapes
-from solver.scans.performance import ARKIT_NAMES, read_live_link
+from solver.scans.live_link import ARKIT_NAMES, read_live_link
 from solver.scene import Stage
 from solver.scene.places import Places
 from solver.templates.ict_facekit import arkit_source

@@ -33,7 +33,7 @@ from solver.mechanics.linear import fastest
 from solver.mechanics.newton import Energy
 from solver.model import SubjectModel
 from solver.rig.report.systems import LipFlesh
-from solver.scans.performance import read_live_link
+from solver.scans.live_link import read_live_link
 from solver.surface import Floats
 from solver.tracks.autodiff import Mode, jax_function
 from solver.tracks.basis import MuscleTracks, TrackOptions

@@ -33,7 +33,7 @@ from solver.rig import Rig
 from solver.rig.frames import FRAMES, read_chunks
 from solver.rig.frames.animation import MotionRecord, write_video
 from solver.rig.painted_faces import PaintedFaces
-from solver.scans.performance import ARKIT_NAMES, FaceTake
+from solver.scans.live_link import ARKIT_NAMES, FaceTake
 from solver.scans.signals import play_signals
 from solver.scans.video import read_video
 from solver.surface import Floats

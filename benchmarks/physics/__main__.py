@@ -26,7 +26,7 @@ from solver.animation import RecordedDrives
 from solver.animation.controls import Controls
 from solver.model import SubjectModel
 from solver.rig import Rig
-from solver.scans.performance import read_live_link
+from solver.scans.live_link import read_live_link
 
 SHOWS = ("checks", "contact", "sliding", "speed", "effects", "performance", "jobs")
 QUICK_FRAMES = 20

@@ -34,7 +34,7 @@ from solver.jobs.scenes import finish, play, skin_of
 from solver.kinds.scene import SimulateScene
 from solver.progress import silent
 from solver.rig.frames.animation import MotionRecord, motion_report
-from solver.scans.performance import FaceTake
+from solver.scans.live_link import FaceTake
 from solver.scene import Stage
 from solver.scene.places import Places
 from solver.surface import Floats

@@ -41,7 +41,7 @@ class Replay:
 
     @classmethod
     def _weights(cls, path: Path, rate: float) -> Replay:
-        from solver.scans.performance import ARKIT_NAMES, read_live_link
+        from solver.scans.live_link import ARKIT_NAMES, read_live_link
 
         take = read_live_link(path)
         times = take.times.tolist()

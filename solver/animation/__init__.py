@@ -19,7 +19,7 @@ from solver.fitting.face import Pose
 from solver.fitting.interior_point import FeasibleSet
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel, by_muscle, find_muscles, tell_muscles
-from solver.scans.performance import ARKIT_NAMES, FaceTake
+from solver.scans.live_link import ARKIT_NAMES, FaceTake
 from solver.similarity import IDENTITY as HEAD_AT_REST
 from solver.similarity import Similarity
 from solver.surface import Floats, nearest_sphere

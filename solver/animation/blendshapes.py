@@ -39,7 +39,7 @@ from solver.fitting.stretches import COLUMN, ROW, matrices
 from solver.kinds import FILES
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel, identity
-from solver.scans.performance import ARKIT_NAMES
+from solver.scans.live_link import ARKIT_NAMES
 from solver.storage import Archive, Arrays
 from solver.surface import Floats
 from solver.templates.ict_facekit import arkit_source

@@ -34,7 +34,7 @@ from solver.mechanics.linear import fastest
 from solver.neck.body import import_mujoco
 from solver.progress import ProgressCallback, Step, part_of
 from solver.rig import Rig
-from solver.scans.performance import ARKIT_NAMES, FaceTake
+from solver.scans.live_link import ARKIT_NAMES, FaceTake
 from solver.scans.recordings import SIGNALS_FILE, read_recording
 from solver.scene import Stage
 from solver.scene.document import head_of, without_neck_muscles

@@ -33,8 +33,8 @@ from solver.live.smoothing import OneEuro, Smoother, SmoothScales
 from solver.live.source import FollowedFace, LiveSource
 from solver.live.weights import ANGLE_NAMES
 from solver.rig.preview import Listener
+from solver.scans.live_link import ARKIT_NAMES
 from solver.scans.markers.places.marker_set import MarkerSet
-from solver.scans.performance import ARKIT_NAMES
 from solver.similarity import Similarity, small_motion
 from solver.storage import hash_file, write_container
 from solver.surface import Floats

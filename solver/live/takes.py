@@ -24,10 +24,11 @@ from solver.errors import InputError, quote
 from solver.kinds.live_session import PART, Source
 from solver.live.landmarks import IMAGE_AXES
 from solver.live.sent import AMOUNT, TOLD, SentModes, SentTake, part_of, write_takes
+from solver.scans.live_link import ARKIT_NAMES, FaceTake, head_turn
+from solver.scans.live_link import write_signals as write_recording
 from solver.scans.markers.readers.take import Take
 from solver.scans.markers.signal.motion import last_true
-from solver.scans.performance import ARKIT_NAMES, FaceTake, head_turn, write_performance
-from solver.scans.performance import write_signals as write_recording
+from solver.scans.performance import write_performance
 from solver.storage import hash_file
 from solver.surface import Floats
 

@@ -11,7 +11,7 @@ from solver.animation import neck, turn_about
 from solver.fitting.prior import kept_part
 from solver.live.source import FollowedFace, LiveSource
 from solver.model import SubjectModel
-from solver.scans.performance import ANGLES, ARKIT_NAMES, head_turn
+from solver.scans.live_link import ANGLES, ARKIT_NAMES, head_turn
 from solver.similarity import IDENTITY, Similarity
 from solver.surface import Floats
 from solver.templates.ict_facekit import arkit_source

@@ -25,7 +25,7 @@ from solver.rig.frames import FRAMES, read_chunks
 from solver.rig.frames.animation import Filming, MotionRecord
 from solver.rig.painted_faces import PAINT, PaintedFaces
 from solver.scans.film import decode_film
-from solver.scans.performance import read_live_link
+from solver.scans.live_link import read_live_link
 from solver.scans.recordings import SIGNALS_FILE
 from solver.scans.video import VIDEO, weights_of
 from solver.storage import read_arrays

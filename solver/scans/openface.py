@@ -34,7 +34,7 @@ from solver.errors import (
     quote_names,
 )
 from solver.kinds.scene_recording import Recording
-from solver.scans.performance import ARKIT_NAMES, FaceTake
+from solver.scans.live_link import ARKIT_NAMES, FaceTake
 from solver.scans.signals import (
     SIGNALS,
     fill_gaps,

@@ -8,8 +8,8 @@ from pathlib import Path
 from solver.errors import InputError
 from solver.kinds.scene_recording import Recording
 from solver.scans.film import is_film
+from solver.scans.live_link import FaceTake, read_live_link, write_signals
 from solver.scans.openface import is_openface, read_openface
-from solver.scans.performance import FaceTake, read_live_link, write_signals
 from solver.scans.signals import play_signals
 from solver.scans.video import read_video
 

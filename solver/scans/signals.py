@@ -1,6 +1,6 @@
 """What recordings of faces have in common: rest is taken off, gaps are filled, jitter is taken out.
 
-Signals are measured (:class:`~solver.scans.performance.FaceTake` as a reader has them) and become
+Signals are measured (:class:`~solver.scans.live_link.FaceTake` as a reader has them) and become
 what is played, as a scene's entry asks for it.
 """
 
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from solver.errors import Finding, InputError, count_words, make_warning
 from solver.kinds.scene_recording import Recording
-from solver.scans.performance import ARKIT_NAMES, FaceTake
+from solver.scans.live_link import ARKIT_NAMES, FaceTake
 from solver.surface import Floats
 
 

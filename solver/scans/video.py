@@ -23,7 +23,7 @@ from solver.registration.detector import (
     landmarker_file,
 )
 from solver.scans.film import FILM_LIMITS, FilmLimits, decode_film
-from solver.scans.performance import ARKIT_NAMES, FaceTake
+from solver.scans.live_link import ARKIT_NAMES, FaceTake
 from solver.scans.signals import eyes_of
 from solver.surface import Floats
 

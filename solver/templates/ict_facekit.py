@@ -21,7 +21,7 @@ from solver.anatomy.template import ShapeBasis
 from solver.anatomy.texture_coordinates import NOWHERE, TextureCoordinates
 from solver.errors import InputError
 from solver.model import SubjectModel
-from solver.scans.performance import ARKIT_NAMES, FaceTake, read_live_link
+from solver.scans.live_link import ARKIT_NAMES, FaceTake, read_live_link
 from solver.storage import read_arrays
 from solver.surface import Floats, Ints, Surface, own_numbers
 from solver.templates.tables import (

@@ -23,7 +23,7 @@ from solver.jobs import run_job
 from solver.jobs.blendshapes import SAVED_EVERY
 from solver.model import SubjectModel
 from solver.rig import ExpressionFit, Rig
-from solver.scans.performance import ARKIT_NAMES
+from solver.scans.live_link import ARKIT_NAMES
 from tests.service_client import QUICK, ROOT, Studio, eventually, served
 from tests.solver.ball import ball_template
 from tests.solver.block import head_block

@@ -15,7 +15,7 @@ from solver.mechanics.flesh import IDENTITY
 from solver.progress import silent
 from solver.rig import Rig
 from solver.rig.frames import SequenceFrame, write_sequence
-from solver.scans.performance import ARKIT_NAMES
+from solver.scans.live_link import ARKIT_NAMES
 from tests.solver.block import head_block
 from worker.solve import solve
 

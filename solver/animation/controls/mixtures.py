@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from solver.anatomy.template import CORRECTED
+from solver.scans.live_link import ARKIT_NAMES
 from solver.scans.openface import shapes_of_units
-from solver.scans.performance import ARKIT_NAMES
 from solver.surface import Floats
 from solver.templates.ict_facekit import arkit_source
 

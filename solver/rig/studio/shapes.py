@@ -32,7 +32,7 @@ from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.rig.rig import Rig
 from solver.rig.studio.lids import Lids
-from solver.scans.performance import ARKIT_NAMES, FaceTake
+from solver.scans.live_link import ARKIT_NAMES, FaceTake
 from solver.scene import Stage
 from solver.scene.places import Places
 from solver.surface import Floats

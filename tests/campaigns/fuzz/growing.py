@@ -15,8 +15,8 @@ from zipfile import ZIP_STORED, ZipFile
 import numpy as np
 from PIL import Image
 
+from solver.scans.live_link import ARKIT_NAMES
 from solver.scans.markers.places.marker_set import Marker, MarkerSet
-from solver.scans.performance import ARKIT_NAMES
 from solver.similarity import IDENTITY
 from tests import take_files
 from tests.campaigns.fuzz import seeds

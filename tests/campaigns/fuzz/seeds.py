@@ -21,10 +21,10 @@ from solver.mechanics.boundary import JAW_FREEDOM
 from solver.model import SubjectModel
 from solver.neck.builtin import builtin_neck
 from solver.rig.frames.animation import write_video
+from solver.scans.live_link import ARKIT_NAMES, FaceTake, write_signals
 from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.scans.markers.readers.take import Take
 from solver.scans.openface import GAZE, INTENSITIES, POSE
-from solver.scans.performance import ARKIT_NAMES, FaceTake, write_signals
 from solver.similarity import IDENTITY
 from tests import take_files
 from tests.ball_head import ball_head

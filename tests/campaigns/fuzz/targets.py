@@ -24,6 +24,7 @@ from solver.photo.picture import Picture, read_picture
 from solver.registration.landmarks import read_landmarks
 from solver.scans.film import decode_film
 from solver.scans.known_activations import read_known
+from solver.scans.live_link import read_live_link
 from solver.scans.markers.check import check_take
 from solver.scans.markers.places.bind import Reference
 from solver.scans.markers.places.face_take import USUAL_RATE, living_labels
@@ -31,7 +32,7 @@ from solver.scans.markers.places.marker_set import MarkerSet
 from solver.scans.markers.readers.take import read_take
 from solver.scans.markers.signal.faults import find_faults
 from solver.scans.openface import read_openface
-from solver.scans.performance import open_performance, read_live_link
+from solver.scans.performance import open_performance
 from solver.storage import Archive
 from solver.surface import Surface
 from solver.templates.folder import read_template

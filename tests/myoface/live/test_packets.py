@@ -15,7 +15,7 @@ from myoface.live.datagrams import PacketError
 from myoface.live.live_link import NAMES, read_packet
 from myoface.live.osc import BUNDLE, LONGEST, OscMessage, read_osc, write_osc
 from myoface.live.osc_faces import OscReader, write_face
-from solver.scans.performance import ANGLES, ARKIT_NAMES
+from solver.scans.live_link import ANGLES, ARKIT_NAMES
 from tests.myoface.live.packets import live_link_packet
 
 

@@ -250,7 +250,7 @@ def test_lines_are_frames_or_controls() -> None:
 
 
 def test_a_recording_of_live_link_face_is_played_at_its_rate(tmp_path: Path) -> None:
-    from solver.scans.performance import FaceTake, write_signals
+    from solver.scans.live_link import FaceTake, write_signals
 
     times = np.arange(6) / 30
     weights = np.linspace(0, 1, 6)[:, None] * np.ones(52)

@@ -12,7 +12,7 @@ from solver.anatomy.action_units import (
     template_names,
 )
 from solver.anatomy.data import read_table
-from solver.scans.performance import ARKIT_NAMES
+from solver.scans.live_link import ARKIT_NAMES
 
 LOOKS = "eyeLook"
 NO_UNIT = {"mouthLeft", "mouthRight", "tongueOut"}  # FACS has none that muscles of the face make

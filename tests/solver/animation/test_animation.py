@@ -35,7 +35,7 @@ from solver.fitting.drives.six_numbers import LEAST_STRETCH
 from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import matrices
 from solver.mechanics.flesh import IDENTITY
-from solver.scans.performance import ARKIT_NAMES, FaceTake
+from solver.scans.live_link import ARKIT_NAMES, FaceTake
 from solver.storage import Archive
 from solver.surface import Floats
 from tests.solver.block import block_model, divided_block, head_block

@@ -23,7 +23,7 @@ from solver.animation.controls.mixtures import LEVELS, Mixtures, WalkOptions
 from solver.animation.controls.skin import SkinModes
 from solver.fitting.activation import rest_curvature
 from solver.fitting.face import Face
-from solver.scans.performance import ARKIT_NAMES
+from solver.scans.live_link import ARKIT_NAMES
 from tests.solver.block import head_block
 
 RANDOM = np.random.default_rng(3)

@@ -25,7 +25,7 @@ from solver.jobs import animate, blendshapes, learn_controls, run_job
 from solver.kinds import FILES
 from solver.mechanics.flesh import IDENTITY
 from solver.rig import ExpressionFit, Rig
-from solver.scans.performance import ARKIT_NAMES
+from solver.scans.live_link import ARKIT_NAMES
 from solver.storage import Archive
 from tests.solver.block import head_block, thinner
 from tests.solver.jobs.test_scenes import skins

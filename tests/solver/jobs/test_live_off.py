@@ -17,8 +17,8 @@ from solver.live.sent import FILE
 from solver.live.session import arrays_of
 from solver.live.skin import LiveSkin
 from solver.rig import Rig
+from solver.scans.live_link import ARKIT_NAMES
 from solver.scans.markers.places.marker_set import Marker, MarkerSet
-from solver.scans.performance import ARKIT_NAMES
 from solver.similarity import IDENTITY, small_motion
 from solver.storage import Archive
 from solver.surface import Floats

@@ -26,7 +26,7 @@ from solver.mechanics.flesh import IDENTITY
 from solver.progress import Step
 from solver.rig import ExpressionFit, Rig
 from solver.rig.frames.read_back import LIMIT_MM, validate_glb
-from solver.scans.performance import ARKIT_NAMES
+from solver.scans.live_link import ARKIT_NAMES
 from tests.solver.block import head_block, thinner
 
 pytestmark = pytest.mark.long

@@ -15,7 +15,7 @@ from solver.jobs import run_job
 from solver.progress import Step
 from solver.rig import Rig
 from solver.scans import recordings
-from solver.scans.performance import ARKIT_NAMES, FaceTake
+from solver.scans.live_link import ARKIT_NAMES, FaceTake
 from solver.tracks.basis import MuscleTracks, TrackOptions
 from tests.solver.tracks.block import OPEN, block_shapes, tracked_block
 

@@ -17,7 +17,7 @@ from solver.live.sent import read_takes
 from solver.live.session import Counts, LiveOptions, LiveSession, RunningError
 from solver.live.takes import SentFace, TakeWriter
 from solver.live.weights import LiveWeights
-from solver.scans.performance import ARKIT_NAMES, read_live_link
+from solver.scans.live_link import ARKIT_NAMES, read_live_link
 from tests.solver.live.live_client import OPEN, Client
 from tests.solver.live.live_rig import follow, live_files
 

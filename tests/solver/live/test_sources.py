@@ -5,7 +5,7 @@ import pytest
 
 from solver.live.landmarks import COUNT, IMAGE_AXES
 from solver.live.rigged import LiveFace
-from solver.scans.performance import ARKIT_NAMES
+from solver.scans.live_link import ARKIT_NAMES
 from solver.similarity import small_motion
 from tests.solver.live.live_rig import live_files
 

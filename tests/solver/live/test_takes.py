@@ -19,8 +19,8 @@ from solver.live.takes import (
     finish_part,
 )
 from solver.live.weights import LiveWeights
+from solver.scans.live_link import ARKIT_NAMES, read_live_link
 from solver.scans.markers.readers.take import read_take
-from solver.scans.performance import ARKIT_NAMES, read_live_link
 
 MODES = SentModes({"model": "a", "weights": "b"}, np.zeros((2, 5, 3), np.float16))
 TIMES = 100.0 + np.array([0, 1, 2, 5, 6, 6, 7]) / 60

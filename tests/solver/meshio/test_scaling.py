@@ -15,7 +15,8 @@ from solver.errors import InputError
 from solver.meshio.raw import read_raw
 from solver.meshio.registered import REGISTERED_FORMATS, read_registered
 from solver.registration.landmarks import read_landmarks
-from solver.scans.performance import open_performance, read_live_link
+from solver.scans.live_link import read_live_link
+from solver.scans.performance import open_performance
 from solver.surface import Surface
 from tests.campaigns.fuzz.growing import FILES
 

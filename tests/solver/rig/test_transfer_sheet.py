@@ -15,7 +15,7 @@ from solver.registration.detector import DetectedFace
 from solver.rig import transfer_sheet
 from solver.rig.painted_faces import BROWS, PAINT, PaintedFaces
 from solver.rig.transfer_sheet import draw_transfer, face_with, most_different
-from solver.scans.performance import FaceTake, write_signals
+from solver.scans.live_link import FaceTake, write_signals
 from solver.scans.video import weights_of
 from solver.templates.builtin.build import builtin_template
 from tests.fixtures import small_model

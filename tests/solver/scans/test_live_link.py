@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError
-from solver.scans.performance import ARKIT_NAMES, read_live_link
+from solver.scans.live_link import ARKIT_NAMES, read_live_link
 from tests.fixtures import data_folder
 
 HEADER = ["Timecode", "BlendShapeCount", *(name[0].upper() + name[1:] for name in ARKIT_NAMES)]
@@ -43,6 +43,37 @@ def test_a_real_recording() -> None:
     assert take.weights[0, ARKIT_NAMES.index("jawOpen")] == 0.0190581698
     assert not take.head.any()
     assert take.timecodes[0] == "13:13:04:31.652"
+
+
+@pytest.mark.parametrize(
+    ("ticks", "fps", "found"),
+    [
+        (60, 60, 60),
+        (60, 30, 60),
+        (60, 2, 60),
+        (24, 24, 24),
+        (25, 25, 25),
+        (30, 30, 30),
+        (30, 15, 30),
+    ],
+)
+def test_ticks_of_a_second_are_those_that_make_steps_even(
+    ticks: int, fps: int, found: int, tmp_path: Path
+) -> None:
+    frames = [divmod(number * ticks // fps, ticks) for number in range(4 * fps)]
+    codes = [f"10:00:{second:02}:{tick:02}.500" for second, tick in frames]
+    take = read_live_link(write(tmp_path / "a.csv", codes))
+    np.testing.assert_allclose(np.diff(take.times), 1.0 / fps, atol=1e-9)
+    told = [each.context["found"] for each in take.notices]
+    assert told == ([] if found == 60 else [found])
+
+
+def test_a_gap_in_a_recording_changes_no_ticks(tmp_path: Path) -> None:
+    frames = [divmod(2 * number, 60) for number in range(150) if not 40 < number < 100]
+    codes = [f"10:00:{second:02}:{tick:02}.0" for second, tick in frames]
+    take = read_live_link(write(tmp_path / "a.csv", codes))
+    assert not take.notices
+    assert np.median(np.diff(take.times)) == pytest.approx(1 / 30)
 
 
 def test_eyes_look_where_the_weights_say() -> None:

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError
 from solver.kinds.scene_recording import Recording
+from solver.scans.live_link import ARKIT_NAMES, FaceTake
 from solver.scans.openface import GAZE, INTENSITIES, POSE, is_openface, read_openface
-from solver.scans.performance import ARKIT_NAMES, FaceTake
 from solver.surface import Floats
 from tests.fixtures import data_folder
 

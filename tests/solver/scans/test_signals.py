@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError
 from solver.kinds.scene_recording import Recording
-from solver.scans.performance import ARKIT_NAMES, FaceTake, read_live_link, write_signals
+from solver.scans.live_link import ARKIT_NAMES, FaceTake, read_live_link, write_signals
 from solver.scans.recordings import read_recording
 from solver.scans.signals import eyes_of, low_pass, play_signals, with_looks
 from solver.surface import Floats

@@ -18,7 +18,7 @@ from solver.registration.detector import EYE_CORNERS, DetectedFace
 from solver.rig.frames.animation import write_video
 from solver.scans import video
 from solver.scans.film import FilmLimits, FilmPicture, decode_film, is_film
-from solver.scans.performance import ARKIT_NAMES, FaceTake
+from solver.scans.live_link import ARKIT_NAMES, FaceTake
 from solver.scans.recordings import read_recording
 from tests.fixtures import data_folder, face_landmarker
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from solver.scans.performance import ARKIT_NAMES, read_live_link
+from solver.scans.live_link import ARKIT_NAMES, read_live_link
 from solver.templates.ict_facekit import arkit_source, drive, read_facekit
 from tests.fixtures import data_folder
 
