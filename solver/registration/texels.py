@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -85,11 +86,17 @@ class Texels:
 
     def spread(self, values: NDArray[Value]) -> NDArray[Value]:
         """Return the image (s, s, ...) of values (t, ...); beyond charts those of the nearest."""
-        outside = np.ones((self.size, self.size), bool)
-        outside[self.rows, self.columns] = False
-        row, column = distance_transform_edt(outside, return_distances=False, return_indices=True)
+        row, column = self._nearest
         found: NDArray[Value] = self.image(values)[row, column]
         return found
+
+    @cached_property
+    def _nearest(self) -> NDArray[np.int32]:
+        """Row and column (2, s, s) of the texel that is nearest to each place of the image."""
+        outside = np.ones((self.size, self.size), bool)
+        outside[self.rows, self.columns] = False
+        found = distance_transform_edt(outside, return_distances=False, return_indices=True)
+        return np.asarray(found, np.int32)
 
 
 def to_bytes(values: Floats) -> NDArray[np.uint8]:
