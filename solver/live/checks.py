@@ -136,7 +136,7 @@ class MarkerSolver(FullSolver):
         places = MarkerPlaces(face.rig.model, markers.used)
         spread = 1.0 / np.sqrt(max(alike, 1.0))
         sigma = spread * np.array([marker.sigma_mm for marker in markers.used])
-        known = prior.from_basis(face.face, face.basis)
+        known = prior.from_basis(face.face, face.expressions)
         usual = MarkerOptions()
         options = replace(usual, noise_mm=spread * usual.noise_mm)
         self._session = markers.session
@@ -204,11 +204,11 @@ class Checks:
         self._keeping_s = order.options.keeping_s
         self._kept = time.monotonic()
         learned = face.controls is not None
-        self._sort = sort_of(face.live, order.source, order.files, learned=learned)
+        self._sort = sort_of(face.skin, order.source, order.files, learned=learned)
         self._others = _left_samples(order)
         known = self._others.pop(self._sort, None)
-        features = len(face.live.names) + order.clues
-        if known is not None and known.fits(features, len(face.live.basis)):
+        features = len(face.skin.names) + order.clues
+        if known is not None and known.fits(features, len(face.skin.basis)):
             self._mender.begin(known)
 
     def known(self) -> Mend | None:

@@ -44,28 +44,28 @@ class LiveFace:
 
     rig: Rig
     face: Face
-    live: LiveSkin
-    basis: ExpressionBasis
+    skin: LiveSkin
+    expressions: ExpressionBasis
     points: SkinPoints  # landmarks of the template
     controls: Controls | None = None
 
     def pose(self, values: Floats) -> Pose:
         """Return activations and jaw for values (s,), as learned if they were."""
         if self.controls is None:
-            return self.live.sliders.pose(values)
+            return self.skin.sliders.pose(values)
         found = self.controls.pose_of(self._weights(values), self.rig.limits)
         return self.face.pose_of(found.a, found.jaw)
 
     def amounts(self, values: Floats, *, learned: bool = False) -> Floats:
         """Return the amounts (r,) of the skin's modes, ``learned`` ones where there are some."""
         if not learned or self.controls is None:
-            return self.live.amounts(values)
+            return self.skin.amounts(values)
         rest, modes = self._learned
         return np.asarray(rest + modes @ self.controls.skin_coordinates(self._weights(values)))
 
     def skin_of(self, amounts: Floats) -> Floats:
         """Return the skin (n, 3) in the head's frame."""
-        return np.asarray(self.rig.model.skin.vertices + np.tensordot(amounts, self.live.basis, 1))
+        return np.asarray(self.rig.model.skin.vertices + np.tensordot(amounts, self.skin.basis, 1))
 
     def contractions(self, values: Floats) -> Floats:
         """Return how much each muscle is shortened along its fibres, (m,), 0 without fibres.
@@ -84,13 +84,13 @@ class LiveFace:
         """Return the free jaw (5,) that the skin of :meth:`amounts` has, ``learned`` or not."""
         if learned and self.controls is not None:
             return self.controls.pose(self._weights(values)).b
-        b = self.live.sliders.jaw_numbers(values)
+        b = self.skin.sliders.jaw_numbers(values)
         return five_numbers(self.rig.model.jaw, self.face.jaw.matrix(b))
 
     @cached_property
     def project(self) -> SkinProjection:
         """What finds the amounts of a skin."""
-        return SkinProjection(self.rig.model, self.live.basis)
+        return SkinProjection(self.rig.model, self.skin.basis)
 
     @cached_property
     def _contraction(self) -> Contraction:
@@ -101,7 +101,7 @@ class LiveFace:
     @cached_property
     def _contraction_rates(self) -> tuple[Floats, Floats]:
         """The contractions (m,) at rest, and their derivative (m, s) by the values."""
-        sliders = self.live.sliders
+        sliders = self.skin.sliders
         own = sliders.rest.layout["activations"]
         rest = self._contraction(sliders.rest.a)
         changed = sliders.rest.a + sliders.directions[own].T.reshape(-1, *sliders.rest.a.shape)
@@ -122,7 +122,7 @@ class LiveFace:
     def _places(self) -> list[int]:
         """Where each weight of the controls is among the values, -1 for one that is not."""
         assert self.controls is not None
-        known = {name: number for number, name in enumerate(self.live.names)}
+        known = {name: number for number, name in enumerate(self.skin.names)}
         return [known.get(name, -1) for name in self.controls.names]
 
     def _weights(self, values: Floats) -> Floats:
@@ -131,9 +131,9 @@ class LiveFace:
     def source(self, kind: Source, markers: MarkerSet | None = None) -> LiveSource:
         """Return what follows the face by frames of a kind; ``markers`` need their set."""
         model = self.rig.model
-        about = (model, self.live.sliders, self.live.skin)
+        about = (model, self.skin.sliders, self.skin.reduced)
         if kind == "weights":
-            return LiveWeights(model, self.live.names)
+            return LiveWeights(model, self.skin.names)
         if kind == "points":
             return LivePoints(*about)
         if kind == "landmarks":

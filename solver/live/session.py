@@ -143,15 +143,15 @@ class LiveSession:
         self.errors = RunningError(options.window_s)
         self.frames = 0
         # of the amounts that are sent
-        self.modes = SentModes.of_skin(face.rig.model, face.rig.weights, face.live.basis)
+        self.modes = SentModes.of_skin(face.rig.model, face.rig.weights, face.skin.basis)
         self._held = 0
         self._gaps = 0
         self._solve_ms = Counts(0.05, 10_000)
         self._last_seconds: float | None = None
         self._is_resumed = False
         self._sha256 = skin_sha256
-        count = len(face.live.names)
-        modes = len(face.live.basis)
+        count = len(face.skin.names)
+        modes = len(face.skin.basis)
         # of other sources the skin is by the sliders
         self._is_learned = options.source == "weights"
         at_rest = np.zeros(count)  # makes what frames use, so that the first does not wait for it
@@ -205,7 +205,7 @@ class LiveSession:
     @property
     def layout(self) -> Layout:
         """Names and shapes of a followed frame's arrays."""
-        live = self.face.live
+        live = self.face.skin
         skin = (("skin", self.face.rig.model.skin.vertices.shape),) * self.options.send_skin
         return (
             ("head", (4, 4)),
@@ -230,7 +230,7 @@ class LiveSession:
             "source": self.options.source,
             "expects": rows,
             "layout": [{"name": name, "shape": list(shape)} for name, shape in self.layout],
-            "sliders": list(self.face.live.names),
+            "sliders": list(self.face.skin.names),
             "muscles": list(self.face.rig.model.muscle_names),
             "sha256": self._sha256,
         }
@@ -320,7 +320,7 @@ class LiveSession:
             "gaps": self._gaps,
             "solve_ms": self._solve_ms.figures((50, 95, 99)),
             "error_mm": self.errors.figures(),
-            "skin_error_mm": self.face.live.error_mm,
+            "skin_error_mm": self.face.skin.error_mm,
         }
 
     def close(self) -> None:
@@ -389,8 +389,8 @@ def arrays_of(frame: FollowedFrame, layout: Layout) -> dict[str, Floats]:
 def write_view(face: LiveFace, path: Path) -> None:
     """Write the skin's modes as a page maps them: a container as ``preview.bin``."""
     header = {
-        "sliders": list(face.live.names),
+        "sliders": list(face.skin.names),
         "muscles": list(face.rig.model.muscle_names),
-        "error_mm": face.live.error_mm,
+        "error_mm": face.skin.error_mm,
     }
-    write_container(path, header, {"basis": np.asarray(face.live.basis, np.float16)})
+    write_container(path, header, {"basis": np.asarray(face.skin.basis, np.float16)})

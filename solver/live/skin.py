@@ -24,7 +24,7 @@ from solver.kinds import FILES
 from solver.model import SubjectModel
 from solver.rig.frames.skin_basis import ReducedSkin, ReductionOptions, modes_of
 from solver.rig.preview import Listener, PreviewOptions, make_live_preview, skin_weights
-from solver.rig.preview.sliders import Control, Sliders
+from solver.rig.preview.sliders import Sliders, expression_controls
 from solver.storage import Archive
 from solver.surface import Floats
 
@@ -54,7 +54,7 @@ class LiveSkin:
     """Sliders with the skin that they move; ``error_mm`` are figures of poses not learned from."""
 
     sliders: Sliders
-    skin: ReducedSkin
+    reduced: ReducedSkin
     spare: NDArray[np.float16]  # (t, n, 3) modes that no slider moves
     error_mm: dict[str, float]
 
@@ -66,11 +66,11 @@ class LiveSkin:
     @cached_property
     def basis(self) -> Floats:
         """All modes (r, n, 3) in mm, the spare ones last."""
-        return np.concatenate([self.skin.basis, self.spare]).astype(np.float64)
+        return np.concatenate([self.reduced.basis, self.spare]).astype(np.float64)
 
     def amounts(self, values: Floats) -> Floats:
         """Return the amounts (r,) of all modes for slider values (s,), 0 of the spare ones."""
-        return np.append(self.skin.amounts(values), np.zeros(len(self.spare)))
+        return np.append(self.reduced.amounts(values), np.zeros(len(self.spare)))
 
     @classmethod
     def make(
@@ -102,13 +102,13 @@ class LiveSkin:
             "names": list(self.names),
             "error_mm": self.error_mm,
         }
-        skin = self.skin
+        reduced = self.reduced
         arrays = {
             "directions": self.sliders.directions,
-            "basis": skin.basis,
+            "basis": reduced.basis,
             "spare": self.spare,
-            "linear": skin.linear,
-            "quadratic": skin.quadratic,
+            "linear": reduced.linear,
+            "quadratic": reduced.quadratic,
         }
         Archive(header, arrays).write(path)
 
@@ -122,11 +122,7 @@ class LiveSkin:
         if archive.header.get("of") != basis_identity(face, shapes):
             return None
         arrays = archive.arrays
-        names = archive.header["names"]
-        controls = tuple(Control(name, "expression", name) for name in names)
-        presets = dict(zip(names, np.eye(len(names)), strict=True))
-        rest = face.rest_pose()
-        sliders = Sliders(controls, rest, arrays["directions"], presets, face.jaw)
+        sliders = expression_controls(face, archive.header["names"], arrays["directions"])
         skin = ReducedSkin(arrays["basis"], arrays["linear"], arrays["quadratic"])
         return cls(sliders, skin, arrays["spare"], archive.header["error_mm"])
 

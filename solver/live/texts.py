@@ -92,7 +92,7 @@ def describe_frame(frame: FollowedFrame, session: LiveSession) -> dict[str, Any]
         "error_p95_mm": _finite(frame.error_p95_mm),
         "dropped": frame.dropped,
         "flags": [name for name, bit in FLAGS.items() if frame.flags & bit],
-        "weights": dict(zip(session.face.live.names, values, strict=True)),
+        "weights": dict(zip(session.face.skin.names, values, strict=True)),
         "contractions": dict(zip(session.face.rig.model.muscle_names, contractions, strict=True)),
         **parts,
     }

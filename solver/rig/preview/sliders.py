@@ -146,10 +146,15 @@ def controls_of(
 
 def controls_of_basis(face: Face, names: Sequence[str], basis: ExpressionBasis) -> Sliders:
     """Return a control for each expression of a face's basis: its change of (a, b)."""
+    return expression_controls(face, names, basis.whole.T)
+
+
+def expression_controls(face: Face, names: Sequence[str], directions: Floats) -> Sliders:
+    """Return a control for each expression, of which ``directions`` (size, k) are the changes."""
     return Sliders(
         tuple(Control(name, "expression", name) for name in names),
         face.rest_pose(),
-        basis.whole.T,
+        directions,
         dict(zip(names, np.eye(len(names)), strict=True)),
         face.jaw,
     )

@@ -39,7 +39,7 @@ def test_a_sampled_frame_is_solved_about_as_in_its_take(tmp_path):
     samples = []
     for number in range(FRAMES):
         swing = 0.5 - 0.5 * np.cos(4.0 * number / RATE)
-        values = np.array([swing * WEIGHTS.get(name, 0.0) for name in face.live.names])
+        values = np.array([swing * WEIGHTS.get(name, 0.0) for name in face.skin.names])
         skin = face.skin_of(face.amounts(values))
         seen = places_over(skin[corners], shares, np.full(60, 2.0)) + beside
         seen += 0.15 * rng.standard_normal(seen.shape)

@@ -35,7 +35,7 @@ def film(session):
     skins, heads, landmarks = [], [], []
     for time in np.arange(FRAMES) / RATE:
         swing = 0.5 - 0.5 * np.cos(2.0 * time)
-        values = np.array([swing * WEIGHTS.get(name, 0.0) for name in face.live.names])
+        values = np.array([swing * WEIGHTS.get(name, 0.0) for name in face.skin.names])
         skins.append(face.skin_of(face.amounts(values)))
         angles = 0.15 * np.sin(np.array([1.3, 0.9, 0.7]) * time)
         turn = small_motion(np.append(angles, np.zeros(3))).rotation
@@ -69,7 +69,7 @@ def test_a_near_camera_is_found_and_makes_no_face(session, film):
     skins, _, landmarks = film
     face = session.face
     shown = face.rig.model.face
-    about = (face.rig.model, face.live.sliders, face.live.skin, face.points)
+    about = (face.rig.model, face.skin.sliders, face.skin.reduced, face.points)
     usual = LandmarkOptions()
     off = []
     for options in (usual, replace(usual, perspective=FAR)):

@@ -54,8 +54,8 @@ def test_a_session_begins_with_what_one_before_of_its_sort_has_solved(
     files: dict[str, Path], tmp_path: Path
 ) -> None:
     face = LiveFace.open(files, tmp_path)
-    values = np.full(len(face.live.names), 0.2)
-    amounts = face.live.amounts(values)
+    values = np.full(len(face.skin.names), 0.2)
+    amounts = face.skin.amounts(values)
     sample = Sample(0, np.zeros((0, 3), np.float32), values, np.zeros(0), amounts, amounts)
 
     def checks(folder: str, source: Source, left: dict[str, SolvedFrames]) -> Checks:
@@ -81,7 +81,7 @@ def test_a_session_begins_with_what_one_before_of_its_sort_has_solved(
 
 
 def test_what_full_solves_go_by_makes_another_sort(files: dict[str, Path], tmp_path: Path) -> None:
-    skin = LiveFace.open(files, tmp_path).live
+    skin = LiveFace.open(files, tmp_path).skin
     given = {name: tmp_path / name for name in ("controls", "marker_set", "others")}
     for name, path in given.items():
         path.write_text(name)

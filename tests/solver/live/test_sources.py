@@ -20,7 +20,7 @@ def face(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def values(face):
-    return np.array([SMILE.get(name, 0.0) for name in face.live.names])
+    return np.array([SMILE.get(name, 0.0) for name in face.skin.names])
 
 
 def test_weights_are_the_values_of_their_expressions(face, values):
@@ -79,7 +79,7 @@ def test_landmarks_are_followed_by_a_camera_of_any_scale(face, values):
 
 
 def test_contractions_are_those_of_the_pose(face, values):
-    a = face.live.sliders.pose(values).a
+    a = face.skin.sliders.pose(values).a
     np.testing.assert_allclose(
         face.contractions(values),
         np.nan_to_num(np.clip(face._contraction(a), -0.02, 0.5)),
