@@ -51,7 +51,11 @@ def sort_of(skin: LiveSkin, source: Source, files: Mapping[str, Path], *, learne
         about["markers"] = hash_file(files["marker_set"])
     if learned and source in ("weights", "landmarks"):
         about["controls"] = hash_file(files["controls"])
-    modes = {"directions": skin.sliders.directions, "basis": skin.reduced.basis, "spare": skin.spare}
+    modes = {
+        "directions": skin.sliders.directions,
+        "basis": skin.reduced.basis,
+        "spare": skin.spare,
+    }
     return Archive(about, modes).sha256
 
 
