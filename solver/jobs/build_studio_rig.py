@@ -25,9 +25,9 @@ from solver.rig.studio.levels import carry_texture, distance_mm, simplify
 from solver.rig.studio.lids import Lids
 from solver.rig.studio.light_rig import LightRig
 from solver.rig.studio.parts import parts_of
-from solver.rig.studio.shapes import FleshShapes, StudioShapes, solve_studio_shapes
+from solver.rig.studio.shapes import FleshShapes, StudioShapes, shape_names, solve_studio_shapes
 from solver.rig.studio.skin_texture import SkinTexture
-from solver.rig.studio.wrinkle_maps import read_wrinkle_maps
+from solver.rig.studio.wrinkle_maps import drive_wrinkles, read_wrinkle_images
 from solver.scene.places import Places
 from solver.storage import write_json
 
@@ -54,6 +54,10 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
         name = model.template.get("name", "")
         raise InputError("blendshapes.none", f"the template {name} has no expressions")
     texture = _read_texture(task, template, len(model.skin.faces))
+    wrinkles = {}
+    if task.captures:  # whatever is wrong with one is told before the shapes are solved
+        coordinates = texture_coordinates(template)
+        wrinkles = read_wrinkle_images(task.captures, rig, shape_names(basis), coordinates)
     progress(Step("read", READ))
     blendshapes = person_blendshapes(task, rig)
     flesh = FleshShapes(rig, blendshapes, Places.of(model, task.inputs.get("template"), {}))
@@ -79,9 +83,7 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
         written[file] = {**compared, "bytes": file.stat().st_size}
         levels[file.name] = tell_level(light, rigged)
     written |= _write_usd(light, task.out / "studio.usdc", texture)
-    wrinkled = []
-    if task.captures:
-        wrinkled = [*read_wrinkle_maps(task.captures, rig, shapes, texture_coordinates(template))]
+    wrinkled = [*drive_wrinkles(wrinkles, rig, shapes)]
     for each in wrinkled:
         file = task.out / each.file
         file.write_bytes(each.content)

@@ -143,6 +143,12 @@ def _rest() -> FaceTake:
     return FaceTake(still[:, 0], weights, still, np.zeros((1, 2, 3)), np.ones(1, bool), "live_link")
 
 
+def shape_names(basis: ShapeBasis) -> tuple[str, ...]:
+    """Return the names of ARKit's shapes that a template has, in ARKit's order."""
+    driven = {arkit_source(name) for name in basis.expression_names}
+    return tuple(name for name in ARKIT_NAMES if name in driven)
+
+
 def solve_studio_shapes(
     model: SubjectModel,
     flesh: FleshShapes,
@@ -158,7 +164,7 @@ def solve_studio_shapes(
     """
     shapes = dict(zip(basis.expression_names, basis.expressions.astype(np.float64), strict=True))
     sculpted = _by_source(shapes)
-    names = tuple(name for name in ARKIT_NAMES if name in sculpted)
+    names = shape_names(basis)
     moved = _by_source(driven_motions(model, basis))
     neutral = model.skin.vertices
     gaze = Gaze(model)

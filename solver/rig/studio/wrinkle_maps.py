@@ -7,7 +7,7 @@ the shapes its wrinkles have the strength min(max(w . c, 0) / c . c, 1).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,28 +40,37 @@ class WrinkleMap:
         return {"file": self.file, "driven_by": self.driven_by}
 
 
-def read_wrinkle_maps(
-    files: Mapping[str, Path], rig: Rig, shapes: StudioShapes, coordinates: TextureCoordinates
-) -> Iterator[WrinkleMap]:
-    """Yield the maps of ``files`` by the names of their expressions.
+def read_wrinkle_images(
+    files: Mapping[str, Path], rig: Rig, shapes: Collection[str], coordinates: TextureCoordinates
+) -> dict[str, bytes]:
+    """Return the images of ``files`` by the names of their expressions; ``shapes`` are names, too.
 
     Raises :class:`InputError`: ``wrinkles.unknown`` for a name that is no shape's and no
     expression's of the rig, ``texture.unreadable``, ``texture.template``.
     """
-    skins = {each.name: each.skin for each in rig.expressions}
-    for number, (name, path) in enumerate(files.items(), start=1):
-        content = read_skin_image(path, coordinates, len(rig.model.skin.faces))
-        if name in shapes.names:
-            driven_by = {name: 1.0}
-        elif name in skins:
-            driven_by = _made_of(skins[name] - rig.model.skin.vertices, rig.model.face, shapes)
-        else:
-            known = sorted(skins)
+    known = sorted(each.name for each in rig.expressions)
+    found = {}
+    for name, path in files.items():
+        if name not in shapes and name not in known:
             reason = (
                 f"{path.name}: no shape and no expression of the rig is called {quote(name)}; its "
                 f"expressions are {', '.join(known) or 'none'}"
             )
             raise InputError("wrinkles.unknown", reason, file=path.name, expected=known)
+        found[name] = read_skin_image(path, coordinates, len(rig.model.skin.faces))
+    return found
+
+
+def drive_wrinkles(
+    images: Mapping[str, bytes], rig: Rig, shapes: StudioShapes
+) -> Iterator[WrinkleMap]:
+    """Yield wrinkle maps by their ``images``, of names that :func:`read_wrinkle_images` knows."""
+    skins = {each.name: each.skin for each in rig.expressions}
+    for number, (name, content) in enumerate(images.items(), start=1):
+        if name in shapes.names:
+            driven_by = {name: 1.0}
+        else:
+            driven_by = _made_of(skins[name] - rig.model.skin.vertices, rig.model.face, shapes)
         yield WrinkleMap(name, f"studio_wrinkles_{number}.png", content, driven_by)
 
 

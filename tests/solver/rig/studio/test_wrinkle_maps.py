@@ -14,7 +14,7 @@ from solver.anatomy.texture_coordinates import TextureCoordinates
 from solver.errors import InputError
 from solver.registration.skin_images import made_for
 from solver.rig.studio.shapes import StudioShapes
-from solver.rig.studio.wrinkle_maps import read_wrinkle_maps
+from solver.rig.studio.wrinkle_maps import drive_wrinkles, read_wrinkle_images
 from tests.solver.block import head_block
 
 MODEL = head_block()
@@ -40,11 +40,12 @@ def test_a_map_is_driven_by_its_shape_or_by_what_its_expression_is_made_of(
     grin = SimpleNamespace(name="grin", skin=moved)
     rig = cast(Any, SimpleNamespace(model=MODEL, expressions=[grin]))
     files = {"jawOpen": path, "grin": path}
-    alone, mixed = read_wrinkle_maps(files, rig, shapes, coordinates)
+    images = read_wrinkle_images(files, rig, NAMES, coordinates)
+    alone, mixed = drive_wrinkles(images, rig, shapes)
     assert alone.driven_by == {"jawOpen": 1.0}
     assert mixed.driven_by == pytest.approx({"browInnerUp": 0.8, "mouthSmileLeft": 0.4}, abs=0.02)
     assert alone.file != mixed.file
     with pytest.raises(InputError) as caught:
-        [*read_wrinkle_maps({"frown": path}, rig, shapes, coordinates)]
+        read_wrinkle_images({"frown": path}, rig, NAMES, coordinates)
     assert caught.value.code == "wrinkles.unknown"
     assert "grin" in str(caught.value)
