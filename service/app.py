@@ -22,6 +22,7 @@ from service.captures.routes import router as captures
 from service.dependencies import check_parts
 from service.jobs.following import Feed
 from service.jobs.routes import router as jobs
+from service.jobs.service import FRAME_READERS, frames_busy
 from service.live.broker import LiveBroker
 from service.live.routes import router as live
 from service.live.tickets import Tickets
@@ -43,7 +44,7 @@ from service.templates.routes import router as templates
 from service.uploads.routes import router as uploads
 from service.uploads.service import UploadCleaner
 from service.webhooks.routes import router as webhooks
-from service.writers import Writers
+from service.writers import Places
 
 DESCRIPTION = """
 Registered 3D scans of one person in, a muscle-driven face out.
@@ -152,7 +153,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.master = master
     app.state.rates = rates
     app.state.signer = Signer(master)
-    app.state.writers = Writers()
+    app.state.writers = Places()
+    app.state.frame_readers = Places(FRAME_READERS, frames_busy)
     app.state.sender = Sender(settings.webhook_timeout, settings.webhook_allow)
     errors.install(app)
     for router in ROUTERS:

@@ -17,7 +17,7 @@ from service.schemas import Label
 from service.settings import Settings
 from service.store.ballast import Ballast
 from service.store.database import Store
-from service.writers import PATIENCE, Writers
+from service.writers import PATIENCE, Places
 
 # Methods that write nothing, or hardly ever
 READING = frozenset({"GET", "HEAD"})
@@ -60,7 +60,7 @@ WholeStore = Annotated[Store, Depends(part("store"))]
 
 
 async def _take_turn(
-    request: Request, writers: Annotated[Writers, Depends(part("writers"))]
+    request: Request, writers: Annotated[Places, Depends(part("writers"))]
 ) -> AsyncIterator[float]:
     """Give the moment by which a request's writes must begin; one that is to write has a place."""
     if request.method in READING:

@@ -228,12 +228,13 @@ class _CheckedBackend(httpcore.NetworkBackend):
     ) -> httpcore.NetworkStream:
         """Resolve, check and connect."""
         addresses = self.allowed_addresses(host, port)
-        for address in addresses:
+        for number, address in enumerate(addresses):
+            share = self._deadline.remaining() / (len(addresses) - number)
             try:
                 stream = self._plain.connect_tcp(
-                    str(address), port, self._deadline.remaining(), local_address, socket_options
+                    str(address), port, share, local_address, socket_options
                 )
-            except httpcore.ConnectError:
+            except (httpcore.ConnectError, httpcore.ConnectTimeout):
                 if address == addresses[-1]:
                     raise
                 continue

@@ -36,6 +36,7 @@ class Presence:
     def __init__(self, folder: Path, name: str) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
+        self.name = name
         self._own = (folder / f"lives.{name}").open("w")  # open for as long as this process lives
         fcntl.flock(self._own, fcntl.LOCK_EX)
 
@@ -86,6 +87,7 @@ class Lookout(threading.Thread):
         self._pause = silence / LOOKS
         self._is_free = is_free
         self._stopping = stopping
+        self._began: datetime | None = None  # by the database's clock
 
     def run(self) -> None:
         """Look until the worker stops."""
@@ -96,10 +98,16 @@ class Lookout(threading.Thread):
             except (SQLAlchemyError, OSError) as error:
                 log.warning("lookout.failed", error=str(error))
 
+    def _was_before(self, held: _Held) -> bool:
+        """Return whether a worker held it that had this one's name before: in a container."""
+        is_own = held.worker == self._presence.name
+        return is_own and self._began is not None and held.leased_at < self._began
+
     def _look(self) -> None:
         waiting, held, moment = self._find()
+        self._began = self._began or moment
         lives = {name: self._presence.is_alive(name) for name in {each.worker for each in held}}
-        dead = [each for each in held if lives[each.worker] is False]
+        dead = [each for each in held if lives[each.worker] is False or self._was_before(each)]
         oldest = moment - timedelta(seconds=self._silence)
         silent = [each for each in held if lives[each.worker] is None and each.leased_at < oldest]
         if waiting is None and not dead and not silent:

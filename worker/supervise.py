@@ -168,6 +168,9 @@ class Supervisor:
                 process.stop()
             process.finish()
             self._beat(claim, process, folder)
+            while any(self._unwritten):  # the database is away: frames and lines wait for it
+                time.sleep(self._settings.beat)
+                self._beat(claim, process, folder)
             self._stop_bridge()  # its last words come before the end is known
         except CanceledError:
             process.stop()
@@ -229,8 +232,12 @@ class Supervisor:
 
         def renew() -> None:
             while not done.wait(self._beat_seconds(claim)):
-                with suppress(SQLAlchemyError), self._store.write() as session:
-                    table.beat(session, claim.job_id, claim.attempt, self._settings.lease)
+                with suppress(SQLAlchemyError):
+                    with self._store.write() as session:
+                        job = (claim.job_id, claim.attempt)
+                        state = table.beat(session, *job, self._settings.lease)
+                    if state is not None:
+                        self._renewed = time.monotonic()
 
         thread = threading.Thread(target=renew, name="lease", daemon=True)
         thread.start()

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import structlog
@@ -103,15 +105,27 @@ class Sweeper(Heartbeat):
             if elected or self._at_once:
                 sweep.resend(session, settings.resend_after, at_once=self._at_once)
         self._at_once = False
+        steps: list[Callable[[], object]] = [
+            partial(remove_orphans, self._store, settings.work),
+            partial(trim_all, settings),
+        ]
         if elected:
-            retention.enforce(self._store, settings)
-        remove_orphans(self._store, settings.work)
-        trim_all(settings)
+            steps.append(partial(retention.enforce, self._store, settings))
         due = self._collected + min(deletion.COLLECT_EVERY, settings.garbage_age)
         if elected and time.monotonic() > due:
             self._collected = time.monotonic()
-            self._store.database.forget_deleted()
-            if removed := deletion.collect_garbage(self._store, settings.garbage_age):
-                log.info("files.collected", count=removed)
-            deletion.close_receipts(self._store, settings.garbage_age)
-            sweep.measure_sizes(self._store)
+            steps += [
+                self._store.database.forget_deleted,
+                self._collect_garbage,
+                partial(deletion.close_receipts, self._store, settings.garbage_age),
+                partial(sweep.measure_sizes, self._store),
+            ]
+        for step in steps:
+            try:
+                step()
+            except Exception as error:  # one that fails keeps the others from nothing
+                log.warning("sweeper.failed", error=str(error), exc_info=True)
+
+    def _collect_garbage(self) -> None:
+        if removed := deletion.collect_garbage(self._store, self._settings.garbage_age):
+            log.info("files.collected", count=removed)

@@ -195,7 +195,8 @@ def rotate(
 ) -> tuple[ApiKey, str]:
     """Make a key in place of one that goes on to work for ``grace`` seconds.
 
-    The caller is told its text, and so must have its scopes.
+    The caller is told its text, and so must have its scopes. Raises a problem as :func:`create`:
+    with a grace there is one key more for a while.
     """
     tenant = own_tenant(session, lock=True)
     old = get(session, key_id)
@@ -203,6 +204,8 @@ def rotate(
     _refuse_more(old.scopes, who)
     if _is_over(old, session):
         raise Problem(409, "key.over", "the key opens nothing any more", key_id=key_id)
+    if grace:
+        _refuse_many(session)
     fresh, text = keyring.mint(session, tenant.id, old.name, old.scopes, old.expires_at)
     until = moment + timedelta(seconds=grace)
     old.expires_at = min(filter(None, (old.expires_at, until)))

@@ -46,6 +46,7 @@ from service.store.database import Store
 from service.store.models import Job
 from service.store.retention import own_days
 from service.subjects import repository as subjects
+from service.writers import Places
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
@@ -235,10 +236,18 @@ def log(
     return LogView(lines=lines, next=lines[-1].number if lines else after)
 
 
+async def _take_turn(
+    places: Annotated[Places, Depends(part("frame_readers"))],
+) -> AsyncIterator[None]:
+    async with places.place():
+        yield
+
+
 @router.get(
     "/{job_id}/frames",
     summary="Read the frames of a sequence or simulation",
-    responses=problems(404, 409, 410, 422),
+    responses=problems(404, 409, 410, 422, 503),
+    dependencies=[Depends(_take_turn)],
 )
 def read_frames(
     job_id: Id,
@@ -266,8 +275,9 @@ def read_frames(
     responses={
         200: {"content": {"image/jpeg": {}}},
         204: {"description": "No frame has a picture yet"},
-        **problems(404, 409, 410, 422),
+        **problems(404, 409, 410, 422, 503),
     },
+    dependencies=[Depends(_take_turn)],
 )
 def read_picture(
     job_id: Id, session: ReadSession, store: ReadStore, who: Reader, reads: ReadsDep

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import threading
 from typing import Any
 
 from pydantic import ValidationError
@@ -29,7 +28,7 @@ from solver.kinds import KINDS
 LARGEST_CHUNK = 16 * 1024**2
 MOST_READ = 16 * 1024**2
 # Requests of a process that hold files of frames at a time: one takes some four times its bytes
-READING = threading.Semaphore(2)
+FRAME_READERS = 2
 # Values of one: vertices are packed, so that a frame has some hundred
 MOST_VALUES = 1_000_000
 # Files of frames, the newest, that are looked at for a picture
@@ -114,20 +113,28 @@ def cancel(session: Session, job_id: str, order: Cancel) -> None:
     """Ask for a job to stop; asking twice is as good as once."""
     job = repository.get(session, job_id)
     if job.state in FINAL:
-        raise Problem(
-            409, "job.finished", f"the job is {job.state.value}", job_id=job_id, state=job.state
-        )
-    table.cancel(session, job_id, order.by, order.reason)
+        raise _finished(job)
+    if not table.cancel(session, job_id, order.by, order.reason):
+        session.refresh(job)
+        if job.state in FINAL:  # it has ended just now
+            raise _finished(job)
+
+
+def frames_busy() -> Problem:
+    """Return the problem of a request for frames beside which too many others read some."""
+    problem = Problem(503, "frames.busy", "others are reading frames: ask again in a moment")
+    problem.headers = {"Retry-After": "1"}
+    return problem
+
+
+def _finished(job: Job) -> Problem:
+    state = job.state
+    return Problem(409, "job.finished", f"the job is {state.value}", job_id=job.id, state=state)
 
 
 def read_frames(session: Session, store: Store, job_id: str, start: int, limit: int) -> FramesView:
     """Return the frames from the ``start``-th on, at most ``limit``, of few large files fewer."""
     _check_frames(session, job_id)
-    with READING:
-        return _read_frames(session, store, job_id, start, limit)
-
-
-def _read_frames(session: Session, store: Store, job_id: str, start: int, limit: int) -> FramesView:
     chunks = table.frames(session, job_id)
     found: list[Any] = []
     room = MOST_READ
@@ -150,8 +157,7 @@ def newest_picture(session: Session, store: Store, job_id: str) -> bytes | None:
     """Return a JPEG of the newest frame that has one, None before there is any."""
     _check_frames(session, job_id)
     for chunk in table.frames(session, job_id)[: -MOST_LOOKED_AT - 1 : -1]:
-        with READING:
-            picture = _parse_chunk(chunk, _read_chunk(store, chunk)).get("picture")
+        picture = _parse_chunk(chunk, _read_chunk(store, chunk)).get("picture")
         if picture:
             try:
                 return base64.b64decode(picture)

@@ -43,6 +43,7 @@ from service.queue.wakeups import AWAY
 from service.records.audit import record
 from service.rigs.download import StoredArtifact, send
 from service.rigs.repository import artifact_of_job
+from service.rigs.routes import FILE, limit_by_key, note_read
 from service.schemas import Id, Page
 from service.store.models import Job
 from solver.kinds.live_session import VIEW_FILE
@@ -176,15 +177,25 @@ async def end_take(session_id: Id, store: ReceivingStore, _: Writer, broker: Bro
     "/{session_id}/view",
     response_class=Response,
     summary="Download what a live session is drawn by",
-    responses=problems(404, 422),
+    responses=FILE,
+    dependencies=[Depends(limit_by_key)],
 )
-def view(session_id: Id, session: ReadSession, store: ReadStore, request: Request) -> Response:
+def view(
+    session_id: Id,
+    session: ReadSession,
+    store: ReadStore,
+    request: Request,
+    who: Reader,
+    reads: ReadsDep,
+) -> Response:
     """Download the shapes of a session's skin, whose amounts its frames have.
 
     They are there a moment after the session is ready: docs/reference/live.md has their format.
     """
     artifact = artifact_of_job(session, service.get(session, session_id).id, VIEW_FILE)
-    return send(StoredArtifact.of(artifact, store), request)
+    response = send(StoredArtifact.of(artifact, store), request)
+    note_read(response, request, reads, (who, "artifact.downloaded", artifact.id))
+    return response
 
 
 @router.websocket("/{session_id}/frames")

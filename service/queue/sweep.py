@@ -18,7 +18,7 @@ from service.store.models import Capture, FrameChunk, Job, Lease, Upload, Worker
 
 LONGEST_PAUSE = timedelta(minutes=1)
 FORGET_WORKERS = timedelta(minutes=10)
-BATCH = 1000
+MOST_SENT = 250  # of a queue in a round: a message only says that there is something
 # Office of the worker that sweeps
 SWEEPER = "sweeper"
 
@@ -68,13 +68,14 @@ def resend(session: Session, after: float, *, at_once: bool = False) -> None:
     ``at_once`` ignores the pauses: a worker that starts may have missed everything.
     """
     moment = clock(session)
-    waits = (Job.queue.in_(QUEUES), Job.state == State.QUEUED, is_due(Job, moment))
-    queued = select(Job).where(*waits)
-    for job in session.scalars(queued.order_by(Job.created_at).limit(BATCH)):
-        if at_once or _should_resend(job, moment, after):
-            job.sends = job.sends + 1
-            job.sent_at = moment
-            wake(session, job.id, job.queue)
+    for queue in QUEUES:  # a long one does not keep another from being served
+        waits = (Job.queue == queue, Job.state == State.QUEUED, is_due(Job, moment))
+        queued = select(Job).where(*waits).order_by(Job.created_at).limit(MOST_SENT)
+        for job in session.scalars(queued):
+            if at_once or _should_resend(job, moment, after):
+                job.sends = job.sends + 1
+                job.sent_at = moment
+                wake(session, job.id, job.queue)
 
 
 def _should_resend(job: Job, moment: datetime, after: float) -> bool:

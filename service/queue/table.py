@@ -237,6 +237,7 @@ def lose(session: Session, job_id: str, attempt: int, error: dict[str, Any]) -> 
 
 def cancel(session: Session, job_id: str, by: str, reason: str) -> bool:
     """Ask for a job to stop; a queued one has stopped. False: it is over, or being canceled."""
+    session.get(Job, job_id, with_for_update=True)  # else it may change its state between the two
     note = {"by": by, "reason": reason, "requested_at": clock(session).isoformat()}
     return bool(
         _step(session, job_id, State.CANCELED, Job.state == State.QUEUED, cancel=note)

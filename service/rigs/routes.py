@@ -56,7 +56,8 @@ async def _limit_connections(downloads: Downloads, who: FileReader) -> AsyncIter
         yield
 
 
-async def _limit_by_key(downloads: Downloads, who: Reader) -> AsyncIterator[None]:
+async def limit_by_key(downloads: Downloads, who: Reader) -> AsyncIterator[None]:
+    """Let a key download so many files at a time."""
     with downloads.hold(who):
         yield
 
@@ -115,14 +116,14 @@ def _view(session: Session, rig: Rig, settings: Settings) -> RigView:
     response_class=Response,
     summary="Ask about a rig's file by name",
     responses=FILE,
-    dependencies=[Depends(_limit_by_key)],
+    dependencies=[Depends(limit_by_key)],
 )
 @router.get(
     "/rigs/{rig_id}/artifacts/{name}",
     response_class=Response,
     summary="Download a rig's file by name",
     responses=FILE,
-    dependencies=[Depends(_limit_by_key)],
+    dependencies=[Depends(limit_by_key)],
 )
 def download_by_name(
     rig_id: Id,
@@ -152,14 +153,14 @@ def download_by_name(
     response_class=Response,
     summary="Ask about a rig's archive",
     responses=FILE,
-    dependencies=[Depends(_limit_by_key)],
+    dependencies=[Depends(limit_by_key)],
 )
 @router.get(
     "/rigs/{rig_id}/archive",
     response_class=Response,
     summary="Download a rig whole",
     responses=FILE,
-    dependencies=[Depends(_limit_by_key)],
+    dependencies=[Depends(limit_by_key)],
 )
 def download_archive(
     rig_id: Id, store: ReadStore, request: Request, who: Reader, reads: ReadsDep
@@ -172,7 +173,7 @@ def download_archive(
     with store.read() as session:
         archive = archive_of(session, repository.get(session, rig_id), store)
     response = send(archive, request)
-    _note(response, request, reads, (who, "rig.downloaded", rig_id))
+    note_read(response, request, reads, (who, "rig.downloaded", rig_id))
     return response
 
 
@@ -206,11 +207,11 @@ def _send(
     artifact: Artifact, store: Store, request: Request, who: Principal, reads: ReadLog
 ) -> Response:
     response = send(StoredArtifact.of(artifact, store), request)
-    _note(response, request, reads, (who, "artifact.downloaded", artifact.id))
+    note_read(response, request, reads, (who, "artifact.downloaded", artifact.id))
     return response
 
 
-def _note(
+def note_read(
     response: Response, request: Request, reads: ReadLog, read: tuple[Principal, str, str]
 ) -> None:
     """Note a read, unless nothing was sent that the caller had not."""

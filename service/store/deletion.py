@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from datetime import datetime, timedelta
+from itertools import islice
 from typing import Literal
 
 from sqlalchemy import ColumnElement, Text, and_, cast, delete, or_, select, update
@@ -75,11 +76,14 @@ def _names(source: str) -> ColumnElement[bool]:
 
 def _readers(session: Session, subject_id: str, sources: Iterable[str]) -> list[str]:
     """Return the newest jobs of a subject that had read files of what goes, and stay."""
-    gone = list(sources)
-    readers = select(Job.id).where(
-        Job.subject_id == subject_id, Job.id.not_in(gone), or_(*map(_names, gone))
+    gone = set(sources)
+    jobs = select(Job.id, Job.inputs).where(Job.subject_id == subject_id)
+    readers = (
+        job
+        for job, inputs in session.execute(jobs.order_by(Job.created_at.desc()))
+        if job not in gone and any(each.get("of") in gone for each in inputs)
     )
-    return [*session.scalars(readers.order_by(Job.created_at.desc()).limit(MOST_READERS))]
+    return [*islice(readers, MOST_READERS)]
 
 
 def delete_subject(session: Session, subject: Subject, reason: Reason) -> Deletion:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import ColumnElement, Select, delete, exists, or_, select
+from sqlalchemy import ColumnElement, Select, delete, exists, or_, select, union
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
 from service.queue.states import FINAL
@@ -26,7 +26,7 @@ from service.store.models import (
     Rig,
     Subject,
     Tenant,
-    is_preview_of,
+    is_preview_of_any,
 )
 from service.store.tenancy import own_tenant
 
@@ -99,6 +99,9 @@ def enforce(store: Store, settings: Settings) -> None:
 
 def _delete(store: Store, due: Select[Any], remove: Remove) -> int:
     """Delete what is due in a transaction of its own; returns how much it was."""
+    with store.read() as session:
+        if session.scalars(due.limit(1)).first() is None:
+            return 0  # and nobody waits for this
     with store.write() as session:
         rows = session.scalars(due).all()
         for row in rows:
@@ -112,9 +115,11 @@ Rule = tuple[int | None, InstrumentedAttribute[Any], Select[Any], Remove]
 
 def _rules(kept: Days) -> Iterable[Rule]:
     """Return what is kept for how many days, since when, which rows, and how they go."""
-    is_of_it = (Rig.job_id == Job.id) | (Rig.model_job_id == Job.id) | is_preview_of(Rig.id)
-    needed = select(Rig.id).where(is_of_it).exists()
-    ended = select(Job).where(Job.state.in_(FINAL), ~needed, _idle(Job.subject_id))
+    # by sets that are made once, not by a look at all rigs for every job
+    models = select(Rig.model_job_id).where(Rig.model_job_id.is_not(None))
+    made = union(select(Rig.job_id), models)
+    free = (Job.id.not_in(made), ~is_preview_of_any(select(Rig.id)))
+    ended = select(Job).where(Job.state.in_(FINAL), *free, _idle(Job.subject_id))
     of_rigs = select(Job).join(Rig, Rig.job_id == Job.id).where(_idle(Job.subject_id))
     scans = select(Capture).where(_idle(Capture.subject_id))
     people = select(Subject).where(_idle(Subject.id))

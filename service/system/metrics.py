@@ -12,6 +12,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime, timedelta
+from functools import cache, partial
 
 import structlog
 from fastapi import FastAPI
@@ -207,13 +208,14 @@ def _stuck(session: Session, moment: datetime, settings: Settings) -> Iterator[M
 
 def _overdue(session: Session, moment: datetime) -> Iterator[Metric]:
     """Count the jobs whose attempt lasts much longer than those of their kind lately did."""
+    usual = cache(partial(_usual_seconds, session))
     running = select(Job.kind, Attempt.started_at).join(
         Job, (Job.id == Attempt.job_id) & (Job.attempt == Attempt.number)
     )
     counts = Counter(
         kind
         for kind, started in session.execute(running.where(Job.state.in_(HELD)))
-        if (moment - started).total_seconds() > _usual_seconds(session, kind)
+        if (moment - started).total_seconds() > usual(kind)
     )
     text = "Jobs that run for longer than twice what 95 of 100 of their kind took"
     yield _gauge("myoface_jobs_overdue", text, "kind", dict.fromkeys(KINDS, 0) | counts)

@@ -13,6 +13,7 @@ from service.queue.sweep import hold_office
 from service.settings import Settings
 from service.store.database import Store
 from service.store.deletion import REFERRING, referenced_files
+from service.store.files import UnreachableError
 from service.store.integrity import find_fault, note_fault
 from service.store.models import FileFault
 
@@ -42,10 +43,14 @@ class Scrubber(Background):
             self._last = ""
             self._forget_deleted()
             return
-        fault = find_fault(self._store.files, sha256)
+        before, self._last = self._last, sha256  # one that cannot be read keeps none from it
+        try:
+            fault = find_fault(self._store.files, sha256)
+        except UnreachableError:
+            self._last = before
+            raise
         if fault is None or sha256 in referenced_files(self._store):  # not deleted meanwhile
             note_fault(self._store, sha256, fault)
-        self._last = sha256
 
     def _next(self) -> str | None:
         """Return the next file that rows refer to; None: that was the last one."""

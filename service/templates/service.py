@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 
 from service.errors import Problem
 from service.store.deletion import delete_template
-from service.store.files import Files
+from service.store.files import Files, UnreachableError
 from service.store.integrity import LostFileError
 from service.store.models import Deletion, Template
 from service.templates import repository
@@ -76,6 +76,8 @@ def count_vertices(files: Files, sha256: str, size: int) -> int | None:
                 return None
             with archive.open(skin) as member:
                 shape = SHAPE.search(member.read(MOST_HEADER))
+    except UnreachableError:  # which says nothing of the template
+        raise
     except (*NOT_READABLE, LostFileError, LookupError, ValueError):
         return None
     return int(shape[1]) if shape else None

@@ -14,7 +14,7 @@ from service.schemas import Id, Position
 from service.store.models import Upload
 from service.uploads.schemas import UploadView, parse_checksum, parse_metadata
 from service.uploads.service import UploadService
-from service.writers import Writers
+from service.writers import Places
 
 VERSION = "1.0.0"
 ALGORITHMS = ("sha256", "sha1")
@@ -138,7 +138,7 @@ async def receive(
     response: Response,
     store: ReceivingStore,
     settings: SettingsDep,
-    writers: Annotated[Writers, Depends(part("writers"))],
+    writers: Annotated[Places, Depends(part("writers"))],
     offset: Offset,
     checksum: ChunkChecksum = None,
 ) -> None:

@@ -27,10 +27,11 @@ from service.background import Background
 from service.errors import CHECKSUM_MISMATCH, Problem
 from service.settings import Settings
 from service.store.database import Store, clock
+from service.store.files import Blob
 from service.store.models import Upload, now
 from service.uploads import repository
 from service.uploads.schemas import Checksum
-from service.writers import Writers
+from service.writers import Places
 
 BUFFER = 1 << 20
 # Bytes of a request after which those that have arrived are counted
@@ -107,7 +108,7 @@ class UploadService:
                 return upload
             with self._lock_part(upload_id):
                 upload = self.get(upload_id)
-                return upload if _is_settled(upload) else self._complete(upload)
+                return upload if _is_settled(upload) else self._finish(upload, self._put(upload))
         except Problem as problem:
             if problem.code != "upload.closed":
                 raise
@@ -135,7 +136,7 @@ class UploadService:
         offset: int,
         checksum: Checksum | None,
         body: AsyncIterator[bytes],
-        writers: Writers,
+        writers: Places,
     ) -> Upload:
         """Append ``body`` at ``offset``; what arrives before a client breaks off counts.
 
@@ -189,30 +190,44 @@ class UploadService:
                 )
             return await self._count_in_turn(upload, offset + received, writers)
 
-    async def _count_in_turn(self, upload: Upload, offset: int, writers: Writers) -> Upload:
+    async def _count_in_turn(self, upload: Upload, offset: int, writers: Places) -> Upload:
         async with writers.place() as until:
-            hasty = UploadService(self._store.by(until), self._settings)
-            return await to_thread.run_sync(hasty._count, upload, offset)
+            upload = await to_thread.run_sync(self._within(until)._count, upload, offset)
+        if offset < upload.size:
+            return upload
+        stored = await to_thread.run_sync(self._put, upload)  # takes long: nobody waits for it
+        async with writers.place() as until:
+            return await to_thread.run_sync(self._within(until)._finish, upload, stored)
+
+    def _within(self, until: float) -> UploadService:
+        """Return this service, whose writes begin by a moment of `time.monotonic` or not at all."""
+        return UploadService(self._store.by(until), self._settings)
 
     def _count(self, upload: Upload, offset: int) -> Upload:
         with self._store.write() as session:
             upload = repository.get(session, upload.id)
             upload.offset = offset
-        return self._complete(upload) if offset == upload.size else upload
+        return upload
 
-    def _complete(self, upload: Upload) -> Upload:
+    def _put(self, upload: Upload) -> Blob | int:
+        """Store an upload's bytes; where some are missing, return how many there are."""
         part = self._part(upload.id)
         with suppress(FileNotFoundError):
             if (found := part.stat().st_size) < upload.size:
-                return self._count(upload, found)
+                return found
         try:
-            blob = self._store.files.put(part)
-        except (
-            FileNotFoundError
-        ) as error:  # its row too: the `UploadCleaner` removes none that has one
+            return self._store.files.put(part)
+        except FileNotFoundError as error:
+            # its row is gone too: the `UploadCleaner` removes no file that has one
             raise Problem(
                 410, "upload.expired", "the upload has expired", upload_id=upload.id
             ) from error
+
+    def _finish(self, upload: Upload, blob: Blob | int) -> Upload:
+        """Note what :meth:`_put` has found."""
+        if isinstance(blob, int):
+            return self._count(upload, blob)
+        part = self._part(upload.id)
         with self._store.write() as session:
             upload = repository.get(session, upload.id)
             if upload.sha256 in (None, blob.sha256):

@@ -261,6 +261,8 @@ class _Field:
         surface = muscle.surface.vertices
         # Muscle outside the flesh, such as the platysma below the cut, has no say.
         surface = surface[cKDTree(self._points).query(surface)[0] < FIBRES.reach_mm]
+        if not len(surface):  # none of it is near enough to lead any flesh
+            return np.zeros((len(self._tets), 3))
         extent = surface @ muscle.fibre
         low, high = np.quantile(extent, [0.02, 0.98])
         guess = (self._points @ muscle.fibre - low) / (high - low)

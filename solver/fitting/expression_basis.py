@@ -90,7 +90,7 @@ class ExpressionBasis:
         for count, number in enumerate(large.tolist()):
             fitted = []
             for part in parts:
-                with suppress(SolveError):
+                with suppress(SolveError, np.linalg.LinAlgError):
                     fitted.append(
                         _fitted_change(face, shapes[number], linear[number], part, options)
                     )

@@ -18,6 +18,7 @@ from solver.fitting.face import Face, PosedFace
 from solver.fitting.least_squares import Listener
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.reference import NotConvergedError
+from solver.mechanics.flesh import IDENTITY
 
 Solver = Literal["reduced", "ipopt"]
 Status = Literal["converged", "stopped", "failed"]
@@ -63,7 +64,8 @@ def fit(
     """Minimise f over (a, b); raises :class:`SolveError` only where the neutral face has no rest.
 
     The reduced solver begins at ``start``, if given, which may be no more than approached. Within
-    limits there is no IPOPT: what the reduced solver cannot fit stays at rest.
+    limits there is no IPOPT: what the reduced solver cannot fit stays where it began, or at rest
+    where that is better.
     """
     if solver == "ipopt":
         refuse_limits(face)
@@ -74,15 +76,33 @@ def fit(
             status: Status = "converged" if found.converged else "stopped"
             return FallbackFit(found.state, found.objective, found.iterations, solver, status)
         except (SolveError, np.linalg.LinAlgError) as error:
-            # IPOPT knows no admissible activations
-            if face.layout.bounds.feasible is not None:
+            # IPOPT knows six free numbers of each muscle alone
+            whole = face.layout.muscles.shape == (face.model.muscle_count, len(IDENTITY))
+            if face.layout.bounds.feasible is not None or not whole:
                 notice = make_warning("solve.failed", f"no fit was found ({error})")
-                return _at_rest(face, data, regulariser, solver, (notice,))
+                rest = _at_rest(face, data, regulariser, solver, (notice,))
+                return _better(face, data, regulariser, start, rest)
             message = f"the reduced solver failed ({error}); IPOPT took over"
             context = {"reason": getattr(error, "code", "solve.singular")}
             reasons = (make_warning("solve.fallback", message, context),)
     instead = _fit_in_full(face, data, regulariser, options, listen, ipopt)
     return replace(instead, notices=(*reasons, *instead.notices))
+
+
+def _better(
+    face: Face, data: Term, regulariser: Regulariser, start: PosedFace | None, rest: FallbackFit
+) -> FallbackFit:
+    """Return the face as a fit began, settled, or at rest: whichever has the lower f."""
+    if start is None:
+        return rest
+    try:
+        settled = face.settle(start.pose, start.x)
+    except (SolveError, np.linalg.LinAlgError):
+        return rest
+    if settled is None:
+        return rest
+    value = activation.objective(data, regulariser, settled)
+    return replace(rest, state=settled, objective=value) if value < rest.objective else rest
 
 
 def _fit_in_full(

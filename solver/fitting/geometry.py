@@ -242,7 +242,7 @@ def _problem(
 
     Who pulls is told by the fibres of the ``newest`` S, by default that of ``face``.
     """
-    t = number / max(options.rounds - 1, 1)
+    t = number / (options.rounds - 1) if options.rounds > 1 else 1.0  # a single one is the last
     w_a, w_s = (first * (last / first) ** t for first, last in (options.w_a, options.w_s))
     regularisers = _regularisers(newest or face, data, options, w_a, recruited, known)
     structure = sp.csr_array((0, face.S.nnz)) if structure is None else structure

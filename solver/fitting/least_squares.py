@@ -26,7 +26,8 @@ Point = TypeVar("Point")  # where a fit is: its variables and what follows from 
 # called after each accepted step with the iteration and the objective
 Listener = Callable[[int, float], None]
 
-# r (k,) -> B^-1 r: minus the change of a step for r more gradient, what holds it holding on
+# r (k,) -> B^-1 r, minus the change of a step for a change r of the gradient: bounds that hold the
+# step hold on
 Follow = Callable[[Floats], Floats]
 
 

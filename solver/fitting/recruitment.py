@@ -403,8 +403,10 @@ class EvenSides(Prior):
         rows = np.zeros((len(pairs), 7, 12))
         rows[:, :6] = np.hstack([np.eye(6), -np.diag(MIRROR)])
         if face.contractions is not None:
-            left, right = np.nan_to_num(face.contractions.rates)[pairs.T]
-            rows[:, 6] = np.hstack([left, -right])
+            left, right = face.contractions.rates[pairs.T]
+            both = np.hstack([left, -right])
+            # a muscle without flesh contracts by nothing, and says nothing of its twin
+            rows[:, 6] = np.where(np.isfinite(both).all(axis=1)[:, None], both, 0.0)
         return cls(pairs, places, rows, rows.transpose(0, 2, 1) @ rows, np.ones(len(pairs)))
 
     @override

@@ -107,7 +107,7 @@ class Jacobian:
 
 
 class PoseRates:
-    """The derivative by (a, b): :class:`solver.mechanics.response.Controls`."""
+    """The derivative by (a, b): :class:`solver.mechanics.response.FleshControls`."""
 
     def __init__(self, face: Face, forces: TetForces, pose: Pose) -> None:
         self._layout = pose.layout
@@ -142,7 +142,7 @@ class PoseRates:
 
 
 class WeightRates:
-    """The derivative by S's values (nnz,): :class:`solver.mechanics.response.Controls`."""
+    """The derivative by S's values (nnz,): :class:`solver.mechanics.response.FleshControls`."""
 
     def __init__(self, forces: TetForces) -> None:
         self._forces = forces

@@ -99,7 +99,8 @@ def run(task: Task[FitFibres]) -> list[Path]:
         part = 0.1 + 0.7 * number / options.rounds
         progress(Step("calibration", part, number + 1, mean_error_mm=error))
 
-    before = fit_all(with_fibres(face, plain), distances(face, scans.targets), options)
+    # by the same terms as what comes out, contact among them
+    before = fit_all(with_fibres(face, plain), terms(face, scans.targets), options)
     found = calibrate(face, distances(face, train), options, listen, ends=terms(face, train))
     progress(Step("unseen", 0.8))
     others = terms(face, scans.of_role("test"))

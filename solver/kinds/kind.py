@@ -238,7 +238,10 @@ class ExpressionFitOptions(FitOptions):
     @field_validator("solver")
     @classmethod
     def _keeps_bounds(cls, value: str, info: ValidationInfo) -> str:
-        if value == "ipopt" and info.data.get("controls") == "admissible":
+        asked = (
+            info.data.get("controls") == "admissible" or info.data.get("plausibility", 1.0) < 1.0
+        )
+        if value == "ipopt" and asked:
             message = "fits free controls only: use reduced for admissible ones"
             raise PydanticCustomError("no_bounds", message)
         return value

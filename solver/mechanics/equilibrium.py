@@ -216,6 +216,7 @@ def untangle(
     """
     if flesh.min_jacobian_ratio(start, moved) >= options.min_jacobian_ratio:
         return moved
+    moved = moved.copy()
     least = options.min_jacobian_ratio * np.minimum(flesh.jacobians(start), BARRIER_START)
     for _ in range(options.untanglings):
         collapsed = flesh.jacobians(moved) < least

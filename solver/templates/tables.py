@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import astuple, dataclass
 from functools import partial
@@ -127,6 +128,9 @@ def _vertices(file: str, name: str, items: list[Any], count: int) -> Ints:
     for item in items:
         found = _RANGE.fullmatch(item) if isinstance(item, str) else None
         if found:
+            if int(found[1]) > int(found[2]) or int(found[1]) >= count:
+                reason = f"the range {item} is not one of the {count} vertices"
+                raise vertex_fault(file, name, reason)
             # the first that is too large is enough to tell, and a range may be very long
             numbers.extend(range(int(found[1]), min(int(found[2]), count) + 1))
         elif isinstance(item, int) and not isinstance(item, bool):
@@ -389,8 +393,12 @@ def _write_muscles(muscles: Iterable[Muscle], folder: Path) -> None:
     (folder / "muscles").mkdir()
     points = [f"{point}_{axis}" for point in ("origin", "insertion", "fibre") for axis in "xyz"]
     rows = []
+    taken: Counter[str] = Counter()
     for muscle in muscles:
-        file = f"muscles/{re.sub(r'[^A-Za-z0-9]+', '_', muscle.name)}.ply"
+        plain = re.sub(r"[^A-Za-z0-9]+", "_", muscle.name)
+        taken[plain.lower()] += 1  # names that differ in what no file's name has
+        number = "" if taken[plain.lower()] == 1 else f"-{taken[plain.lower()]}"
+        file = f"muscles/{plain}{number}.ply"
         write_ply(folder / file, muscle.surface)
         values = muscle.axis[[1, 2, 0]].ravel().tolist()
         parts = muscle.compartments

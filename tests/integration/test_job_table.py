@@ -94,6 +94,22 @@ def test_a_clock_that_is_set_back_holds_up_no_job(store: Store) -> None:
         assert session.get_one(Job, job_id).state is State.RUNNING
 
 
+def test_a_long_queue_keeps_no_other_from_being_sent_again(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sweep, "MOST_SENT", 2)
+    queued = [_queue(store) for _ in range(4)]
+    with store.write() as session:
+        other = session.get_one(Job, queued[-1])
+        other.queue = "long" if other.queue == "short" else "short"
+        jobs = [session.get_one(Job, job_id) for job_id in queued]
+        before = [job.sends for job in jobs]
+        sweep.resend(session, 10, at_once=True)
+        more = [job.sends - times for job, times in zip(jobs, before, strict=True)]
+    assert more[-1] == 1
+    assert sorted(more[:3]) == [0, 1, 1]
+
+
 def test_a_longer_lease_of_another_host_s_is_no_clock_set_back(store: Store) -> None:
     job_id = _queue(store)
     with store.write() as session:

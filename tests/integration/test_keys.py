@@ -119,6 +119,8 @@ def test_a_tenant_has_a_hundred_keys(studio: Studio, monkeypatch: pytest.MonkeyP
     last = [studio.post("/v1/keys", name="x", scopes=["read"])["id"] for _ in range(2)][1]
     refused = studio.http.post("/v1/keys", json={"name": "x", "scopes": ["read"]})
     assert (refused.status_code, refused.json()["code"]) == (409, "key.too_many")
+    refused = studio.http.post(f"/v1/keys/{last}/rotate", json={"grace": 60})
+    assert (refused.status_code, refused.json()["code"]) == (409, "key.too_many")
     assert studio.http.delete(f"/v1/keys/{last}").status_code == 204
     studio.post("/v1/keys", name="x", scopes=["read"])
 

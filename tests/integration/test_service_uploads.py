@@ -24,7 +24,7 @@ from service.settings import Settings
 from service.store.files import files_at
 from service.store.models import DEFAULT_TENANT, Upload
 from service.uploads.service import BUFFER, UploadService
-from service.writers import Writers
+from service.writers import Places
 from tests.service_client import OFFSET_STREAM, Studio, eventually, served
 
 SCAN = b"".join(f"v {i} 0 0\n".encode() for i in range(50_000))
@@ -96,7 +96,7 @@ def test_what_counts_on_the_way_is_no_more_than_the_end_says(
         store = studio.http.app.state.store  # type: ignore[attr-defined]
         uploads = UploadService(store.of(DEFAULT_TENANT), settings)
         with pytest.raises(Problem) if more else nullcontext():
-            anyio.run(uploads.receive, location.rsplit("/", 1)[1], 0, None, pieces(), Writers())
+            anyio.run(uploads.receive, location.rsplit("/", 1)[1], 0, None, pieces(), Places())
         assert counted[:-1] == sorted(counted[:-1])
         assert len(counted) == len(scan) // BUFFER + 1
         assert counted[-1] == (0 if more else len(scan))

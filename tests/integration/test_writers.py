@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import anyio
 import httpx
 import pytest
 from fastapi.routing import APIRoute
@@ -17,6 +18,8 @@ from sqlalchemy import text
 from service import writers
 from service.app import create_app
 from service.dependencies import READING, _for_receiving, _take_turn
+from service.errors import Problem
+from service.jobs.service import frames_busy
 from service.settings import Settings
 from service.store.database import Store
 from tests.service_client import Studio, served
@@ -105,3 +108,21 @@ def test_every_route_that_writes_takes_its_turn(tmp_path: Path) -> None:
             calls.add(dependant.call)
             left += dependant.dependencies
         assert calls & {_take_turn, _for_receiving}, route.path
+
+
+def test_readers_of_frames_wait_for_their_turn_without_a_thread(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(writers, "PATIENCE", 0.05)
+
+    async def read() -> None:
+        places = writers.Places(1, frames_busy)
+        async with places.place():
+            with pytest.raises(Problem) as refused:
+                async with places.place():
+                    pass
+        assert (refused.value.status, refused.value.code) == (503, "frames.busy")
+        async with places.place():
+            pass
+
+    anyio.run(read)

@@ -104,6 +104,15 @@ def test_only_a_worker_elsewhere_is_lost_when_it_is_silent(
     assert (_state(store, held), _state(store, elsewhere)) == (State.RUNNING, State.QUEUED)
 
 
+def test_sessions_of_a_worker_that_had_the_same_name_are_lost(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A container that is restarted has the host's name and often the process's number again."""
+    before = _session(store, "host:2")
+    time.sleep(0.01)
+    assert _look(store, tmp_path / "work", monkeypatch) == [before]
+
+
 def test_a_worker_is_woken_for_what_waits(
     store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -154,6 +154,14 @@ def _lease(store: Store, claim: Claim) -> datetime:
     return until
 
 
+def test_a_lease_that_was_renewed_meanwhile_is_not_over(settings: Settings, store: Store) -> None:
+    claim = _claimed(store)
+    supervisor = _supervisor(store, settings)
+    supervisor._renewed = 0.0
+    with supervisor._leased(claim):
+        eventually(lambda: supervisor._renewed > 0.0)
+
+
 def test_what_takes_minutes_is_kept_for_the_next_attempt(settings: Settings, store: Store) -> None:
     claim = _claimed(store)
     supervisor = Supervisor(store, settings, abilities(settings), threading.Event())

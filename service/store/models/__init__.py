@@ -15,6 +15,7 @@ from service.store.models.jobs import (
     Rig,
     Worker,
     is_preview_of,
+    is_preview_of_any,
 )
 from service.store.models.people import (
     DEFAULT_TENANT,
@@ -67,6 +68,7 @@ __all__ = [
     "WebhookEvent",
     "Worker",
     "is_preview_of",
+    "is_preview_of_any",
     "new_id",
     "now",
 ]

@@ -11,6 +11,7 @@ from sqlalchemy import (
     ForeignKey,
     Index,
     Integer,
+    Select,
     SmallInteger,
     String,
     Text,
@@ -247,3 +248,8 @@ class Lease(Base):
 def is_preview_of(rig_id: str | InstrumentedAttribute[str]) -> ColumnElement[bool]:
     """Select the jobs that make a rig's preview, which stays and goes with the rig."""
     return and_(Job.kind == PREVIEW, Job.request["rig_id"].as_string() == rig_id)
+
+
+def is_preview_of_any(rig_ids: Select[tuple[str]]) -> ColumnElement[bool]:
+    """Select the jobs that make the preview of one of some rigs."""
+    return and_(Job.kind == PREVIEW, Job.request["rig_id"].as_string().in_(rig_ids))

@@ -255,10 +255,15 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
                 break
             expected = self.prior.about(left.mean)
             head = HeadPrior.of_most(self.places.at(fit.state.x), seen.points, weights, options)
-            before = fit
-            fit, left = self._fit(begun, solver, expected, head)
-            fit = replace(fit, steps=before.steps + fit.steps)
-            if fit.rejected_count >= before.rejected_count:
+            again, more = self._fit(begun, solver, expected, head)
+            steps = fit.steps + again.steps
+            if again.kept or again.rejected_count > fit.rejected_count:
+                fit = replace(fit, steps=steps)
+                solver.state = fit.state  # it was better before
+                break
+            is_better = again.rejected_count < fit.rejected_count
+            fit, left = replace(again, steps=steps), more
+            if not is_better:
                 break
         return fit, left
 

@@ -151,7 +151,7 @@ def coverage_of(seen: SeenPoints) -> float:
 
 
 class DensePoints(Observation[SeenPoints, Similarity, DenseFit[PosedFace]]):
-    """Points of a performance: an :class:`~.tracker.Observation`, whose memory is the head.
+    """Points of a performance; the memory of this observation is the head.
 
     ``regulariser`` is the one of muscles of which nothing is expected
     (:mod:`solver.fitting.recruitment`).
@@ -188,7 +188,7 @@ class DensePoints(Observation[SeenPoints, Similarity, DenseFit[PosedFace]]):
             target, placed, steps = self.points.fit(
                 seen, head, lambda: self.face.face_points(solver.state.x), fit
             )
-        except SolveError:
+        except (SolveError, np.linalg.LinAlgError):
             solver.state = before
             return DenseFit(before, head, "kept", coverage), head
         return DenseFit(solver.state, placed, "fitted", coverage, steps, target), placed

@@ -6,6 +6,7 @@ import pytest
 from solver.errors import SolveError
 from solver.fitting import fallback
 from solver.fitting.activation import ActivationOptions
+from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from tests.solver.block import block_model
@@ -48,6 +49,23 @@ def test_ipopt_takes_over_and_says_why(problem, monkeypatch, error):
     assert notice.code == "solve.fallback"
     assert str(error) in notice.message
     assert steps[-1][1] < steps[0][1]
+
+
+def test_within_limits_a_fit_that_breaks_down_stays_where_it_began(problem, monkeypatch):
+    face, data, regulariser, options = problem
+    within = face.driven_as(Admissible())
+    data = SkinDistance(within, data.target)
+    begun = fallback.fit(within, data, regulariser, options)
+
+    def fail(*_args, **_more):
+        raise SolveError("solve.far", "too far")
+
+    monkeypatch.setattr(fallback.activation, "fit", fail)
+    for start, most in ((begun.state, 1.001 * begun.objective), (None, np.inf)):
+        found = fallback.fit(within, data, regulariser, options, start=start)
+        assert (found.solver, found.status) == ("reduced", "failed")
+        assert found.objective <= most
+    assert found.objective > begun.objective
 
 
 def test_out_of_iterations_the_best_is_kept(problem):

@@ -1,6 +1,7 @@
 """Recruitment: which muscles a target calls for, and that fits leave the work to them."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -197,6 +198,17 @@ def test_what_both_sides_do_otherwise_has_its_price(face):
     uneven = 0.5 * np.diff(Contraction.of_face(face)(sheared)[[one, other]]).item() ** 2
     price = sides.value(replace(pose, a=sheared))
     assert price == pytest.approx(uneven + 0.5 * 0.2**2)
+
+
+def test_a_muscle_without_flesh_asks_nothing_of_its_twin(face):
+    rates = face.contractions.rates.copy()
+    rates[face.model.muscle_numbers("zygomaticus_major_l")[0]] = np.nan
+    one_sided = SimpleNamespace(
+        model=face.model, layout=face.layout, contractions=SimpleNamespace(rates=rates)
+    )
+    sides = EvenSides.of_face(one_sided)
+    assert sides.value(face.rest_pose()) == pytest.approx(0.0, abs=1e-12)
+    assert np.abs(sides.gradient(face.rest_pose())).max() < 1e-9
 
 
 def test_only_muscles_that_are_called_for_alike_are_to_pull_alike(face):
