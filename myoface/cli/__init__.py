@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Sequence
 from glob import glob
+from io import TextIOWrapper
 
 from myoface import __version__
 from myoface.cli.batches import batches
@@ -42,10 +43,10 @@ app.members.update(OPERATOR)
 
 def run(words: Sequence[str]) -> int:
     """Run a command line and return its exit code; a fault that a person can act on is a line."""
-    if list(words) == ["--version"]:
-        print(__version__)  # noqa: T201
-        return 0
     try:
+        if list(words) == ["--version"]:
+            print(__version__, flush=True)  # noqa: T201
+            return 0
         app.run(words, "myoface")
     except (ApiError, StackError) as error:
         complain(str(error))
@@ -80,5 +81,6 @@ def main() -> None:
     """Run the command line of this process."""
     os.umask(0o077)  # what it writes is faces, and nobody else's to read
     for stream in (sys.stdout, sys.stderr):
-        stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # code pages
+        if isinstance(stream, TextIOWrapper):  # none where it was closed
+            stream.reconfigure(errors="backslashreplace")  # code pages
     raise SystemExit(run(expand_wildcards(sys.argv[1:])))

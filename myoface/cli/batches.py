@@ -21,6 +21,7 @@ from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import as_typed, out, show_table, transfer_bar
 from myoface.cli.lookup import find_batch, find_subject
 from myoface.client import DEFAULT_URL, Client
+from myoface.errors import ApiError
 from myoface.names import NamedScan, name_session
 from myoface.resources import Batch, Then
 
@@ -85,7 +86,11 @@ def add_batch(
             )
         out.print(batch.id)
         if wait:
-            _show(client.wait_for_batch(batch.id))
+            try:
+                _show(client.wait_for_batch(batch.id))
+            except ApiError:
+                _show(client.batch(batch.id))  # which says what is wrong with each scan
+                raise
 
 
 def with_frame(

@@ -29,6 +29,7 @@ from myoface.cli.console import (
     JobDisplay,
     complain,
     confirm,
+    err,
     label_words,
     moment,
     out,
@@ -41,7 +42,7 @@ from myoface.cli.console import (
 from myoface.cli.lookup import find_job, find_rig, find_subject, find_template
 from myoface.cli.rigs import show_rigs
 from myoface.client import DEFAULT_URL, Client
-from myoface.errors import describe
+from myoface.errors import UNREACHABLE, ApiError, describe
 from myoface.resources import FINAL_STATES, Artifact, FromJob, Job, JobItem, Result
 
 subjects = Group("People.")
@@ -271,8 +272,13 @@ def wait_for_job(job: JobId, url: Url = DEFAULT_URL) -> None:
 
 
 def _follow(client: Client, job: Job) -> None:
-    with JobDisplay(job.kind) as view:
-        ended = client.wait(job.id, view.watch)
+    try:
+        with JobDisplay(job.kind) as view:
+            ended = client.wait(job.id, view.watch)
+    except (ApiError, KeyboardInterrupt) as error:
+        if isinstance(error, KeyboardInterrupt) or error.code == UNREACHABLE:
+            err.print(f"the job goes on; follow it: myoface jobs wait {job.id}")
+        raise
     attempts = "" if ended.attempt == 1 else f" at attempt {ended.attempt}"
     out.print(f"{ended.kind} succeeded{attempts}")
     result = ended.result or Result()

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from myoface.cli.app import NewFolder, Url
 from myoface.cli.commands import Argument, Option
 from myoface.cli.console import JobDisplay, out, transfer_bar
-from myoface.cli.lookup import find_rig
+from myoface.cli.lookup import find_rig, refuse_missing
 from myoface.cli.operator import OPERATOR
 from myoface.client import DEFAULT_URL, Client
 from myoface.errors import ApiError
@@ -35,6 +35,7 @@ def export(
         words = ["export-rig", rig, "--format", format, "--output", str(output)]
         OPERATOR["solve"].run(words, "myoface solve")
         return
+    refuse_missing(rig)
     with Client(url) as client:
         found = client.rig(find_rig(client, rig))
         file = _find_artifact(FILES[format], found.artifacts) or _made(client, found, format)

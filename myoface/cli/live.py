@@ -18,7 +18,7 @@ import anyio
 from myoface.cli.app import NewFolder, Url
 from myoface.cli.commands import Argument, Option, UsageError
 from myoface.cli.console import Console, err, out
-from myoface.cli.lookup import find_rig
+from myoface.cli.lookup import find_rig, refuse_missing
 from myoface.client import DEFAULT_URL, AsyncClient, Client
 from myoface.client.aio_live import AsyncLiveFace
 from myoface.errors import ApiError, StackError
@@ -116,6 +116,8 @@ def live(
 ) -> None:
     """Hold a live session: the face of a rig follows what comes, until it ends or Ctrl-C."""
     with ExitStack() as opened:
+        if replay is not None:
+            opened.enter_context(_faults())
         feed = _feed(live_link, osc, stdin, replay, sender, source, rate)
         options = {"rate": feed.rate, **({"smooth_hz": smooth_hz} if smooth_hz else {})}
         sinks: list[Sink] = [LineSink(sys.stdout)] if stdout else []
@@ -127,12 +129,13 @@ def live(
         station = Station(sinks, record=record, waits=feed.waits)
         shown = _Shown(station, feed, told)
         opened.callback(told.show_live, "")
-        if Path(rig).is_file():
+        if Path(rig).exists():
             files = _files(Path(rig), template, marker_set)
             given = {**options, "source": feed.source}
             opened.enter_context(_faults())
             anyio.run(_run_here, files, given, output, station, shown)
         else:
+            refuse_missing(rig)
             with Client(url) as client:
                 found = find_rig(client, rig)
                 captures = [] if marker_set is None else [_marker_set(client, marker_set)]
@@ -216,9 +219,13 @@ def _files(rig: Path, template: Path | None, marker_set: str | None) -> dict[str
 
 
 def _faults() -> AbstractContextManager[None]:
-    """Tell faults of what was given to a session that is held here."""
-    from myoface.cli import checkout
-
+    """Tell faults of files that are read here."""
+    try:
+        from myoface.cli import checkout
+    except ModuleNotFoundError as error:
+        raise StackError(
+            "files are read by a checkout of Myoface alone; name a rig of a service"
+        ) from error
     checkout.configure_logs()
     return checkout.told_faults()
 

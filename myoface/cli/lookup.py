@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Protocol, TypeVar
 
 from myoface.cli.commands import UsageError
@@ -43,6 +44,15 @@ def find_job(client: Client, given: str) -> str:
 def find_rig(client: Client, given: str) -> str:
     """Return the id of the rig that ``given`` is: an id, its start, or a name."""
     return _find(given, "rig", client.rigs, lambda each: each.name)
+
+
+def refuse_missing(given: str) -> None:
+    """Refuse what is a file by its name and is not there: no service's rig is called so.
+
+    Raises :class:`UsageError`.
+    """
+    if not Path(given).exists() and ("/" in given or given.endswith((".npz", ".zip"))):
+        raise UsageError(f"there is no file {given}")
 
 
 def find_batch(client: Client, given: str) -> str:

@@ -16,7 +16,7 @@ from myoface.cli.app import (
     read_label_filter,
     require_change,
 )
-from myoface.cli.commands import Argument, Group, Option
+from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import label_words, moment, out, show_table, span, transfer_bar
 from myoface.cli.lookup import find_rig, find_subject
 from myoface.client import DEFAULT_URL, Client
@@ -67,7 +67,10 @@ def download_rig(
     with Client(url) as client, transfer_bar("rig") as progress:
         rig_id = find_rig(client, rig)
         if packed:
-            archive = output.with_name(f"{output.name}.zip")
+            if not output.name:
+                raise UsageError(f"--output {output}: an archive needs a name")
+            is_named = output.suffix.lower() == ".zip"
+            archive = output if is_named else output.with_name(f"{output.name}.zip")
             client.download_archive(rig_id, archive, progress=progress)
             out.print(f"{archive}")
             return

@@ -157,6 +157,8 @@ def _store(data: Path | None) -> Iterator[tuple[Store, Settings]]:
 
     given: dict[str, Any] = {} if data is None else {"data_dir": data}
     settings = read_settings(**given)
+    if data is not None and not data.is_dir():
+        raise UsageError(f"--data {data}: there is no such folder: is it the service's?")
     store = Store(settings.database, settings.files, settings.broker)
     store.database.migrate()
     try:

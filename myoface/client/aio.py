@@ -166,8 +166,8 @@ class AsyncClient(AsyncLiveSessions):
         while True:
             query = {"start": start, "limit": self._options.frame_page_items}
             # The job first: the frames of one that had ended by then are all there.
-            job = await self._get(url, Job, through=True)
-            page = await self._get(f"{url}/frames", FramePage, through=True, params=query)
+            job = await self._watch(url, Job)
+            page = await self._watch(f"{url}/frames", FramePage, params=query)
             frames = list(map(read_frame, page.frames))
             for frame in frames:
                 yield frame
@@ -190,14 +190,15 @@ class AsyncClient(AsyncLiveSessions):
         if it failed or was canceled.
         """
         options = self._options
-        backoff = Backoff(self._options)
+        backoff = Backoff(options, options.wait_s)
         while True:
-            job = await self._get(f"/v1/jobs/{job_id}", Job, through=True)
+            job = await self._watch(f"/v1/jobs/{job_id}", Job)
             watch(job)
             if job.state in FINAL_STATES:
                 return require_job(job)
             try:
-                await self._follow(job, watch, backoff)
+                if not await self._follow(job, watch, backoff):
+                    await anyio.sleep(options.stream_pause_s)  # a proxy may end them at once
             except ApiError as error:
                 if error.code == TOO_MANY_STREAMS:
                     # Asking again and again does as well.
@@ -206,8 +207,9 @@ class AsyncClient(AsyncLiveSessions):
                 else:
                     await anyio.sleep(backoff.pause_if_transient(error))
 
-    async def _follow(self, job: Job, watch: Watcher, backoff: Backoff) -> None:
-        """Report a job's progress to ``watch`` until its state changes."""
+    async def _follow(self, job: Job, watch: Watcher, backoff: Backoff) -> bool:
+        """Report a job's progress to ``watch`` until its state changes; tell if anything came."""
+        came = False
         options = self._options
         reader = EventReader()
         headers = {"Last-Event-ID": str(job.last_event_id)}
@@ -217,10 +219,12 @@ class AsyncClient(AsyncLiveSessions):
             async for content in response.aiter_bytes():
                 for event in reader.read(content):
                     backoff.reset()
+                    came = True
                     if event.kind != "progress":
-                        return
+                        return came
                     progress = Progress.read(event.data)
                     watch(dataclasses.replace(job, progress=progress))
+        return came
 
     # Batches
 
@@ -251,12 +255,12 @@ class AsyncClient(AsyncLiveSessions):
             await self._require_vertices(scans, subject_id)
         for scan in scans:
             its = marks.get(scan.path.resolve())
-            sent = await self.upload(scan.path, progress=progress)
+            packed = scan.role not in NO_SCANS and not registered
             captures.append(
                 {
                     "name": scan.name,
                     "role": scan.role,
-                    "upload_id": sent.id,
+                    "upload_id": await self._upload_scan(scan.path, progress, packed=packed),
                     "registered": registered or scan.role in NO_SCANS,
                     "landmarks_upload_id": its and (await self.upload(its)).id,
                 }
@@ -289,7 +293,7 @@ class AsyncClient(AsyncLiveSessions):
     async def wait_for_batch(self, batch_id: str, watch: BatchWatcher = unwatched_batch) -> Batch:
         """Wait until a batch has ended; raises :class:`ApiError` if it did not succeed."""
         while True:
-            batch = await self._get(f"/v1/batches/{batch_id}", Batch, through=True)
+            batch = await self._watch(f"/v1/batches/{batch_id}", Batch)
             watch(batch)
             if batch.state != "running":
                 return require_batch(batch)

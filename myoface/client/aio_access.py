@@ -91,7 +91,7 @@ class AsyncAccess(AsyncConnection):
 
     async def delete_webhook(self, webhook_id: str) -> None:
         """Delete a webhook with its log."""
-        await self._request("DELETE", f"/v1/webhooks/{webhook_id}")
+        await self._request_once("DELETE", f"/v1/webhooks/{webhook_id}")
 
     async def rotate_webhook(self, webhook_id: str) -> NewWebhook:
         """Give a webhook a new secret; for a day the old one signs too."""

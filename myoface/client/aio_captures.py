@@ -126,17 +126,14 @@ class AsyncCaptures(AsyncAccess):
             await self._require_vertices([scan], subject_id)
         marks = None if landmarks is None else (await self.upload(landmarks)).id
         shown = None if mask is None else (await self.upload(mask)).id
-        with TemporaryDirectory() as folder:
-            file = path
-            if scan.role not in NO_SCANS and not registered:
-                file = await async_with_images(path, Path(folder))
-            sent = await self.upload(file, progress=progress)
+        packed = scan.role not in NO_SCANS and not registered
+        sent = await self._upload_scan(path, progress, packed=packed)
         return await self._create(
             f"/v1/subjects/{subject_id}/captures",
             Capture,
             name=scan.name,
             role=scan.role,
-            upload_id=sent.id,
+            upload_id=sent,
             registered=registered or scan.role in NO_SCANS,
             landmarks_upload_id=marks,
             mask_upload_id=shown,
@@ -144,6 +141,12 @@ class AsyncCaptures(AsyncAccess):
             title=title,
             labels=labels,
         )
+
+    async def _upload_scan(self, path: Path, progress: Transferred, *, packed: bool) -> str:
+        """Upload a scan, ``packed`` with the images that it names; return the upload's id."""
+        with TemporaryDirectory() as folder:
+            file = await async_with_images(path, Path(folder)) if packed else path
+            return (await self.upload(file, progress=progress)).id
 
     async def change_capture(
         self,

@@ -39,8 +39,8 @@ from myoface.client.retry import (
     DEFAULT_OPTIONS,
     Backoff,
     ClientOptions,
+    came_to_nothing,
     is_never_reached,
-    is_too_fast,
     transport_errors,
 )
 from myoface.errors import ApiError
@@ -74,7 +74,7 @@ class AsyncConnection:
         self.http = httpx.AsyncClient(
             base_url=url,
             headers=headers_for(url, key),
-            timeout=httpx.Timeout(options.timeout_s),
+            timeout=httpx.Timeout(options.timeout_s, connect=options.connect_s),
             proxy=self._proxy,
             trust_env=False,
             verify=self._authority,
@@ -136,6 +136,7 @@ class AsyncConnection:
     async def _send_file(self, url: str, path: Path, progress: Transferred) -> None:
         size = path.stat().st_size
         backoff = Backoff(self._options)
+        most = -1  # that the service has had: what brings no more counts as a failure
         offset: int | None = None  # None: ask the service how much it has
         with path.open("rb") as stream:
             while offset != size:
@@ -150,8 +151,10 @@ class AsyncConnection:
                         response = await self._answer(
                             "PATCH", url, content=content, headers=headers
                         )
-                        backoff.reset()
                     offset = read_offset(require_success(response), size)
+                    if offset > most:
+                        most = offset
+                        backoff.reset()
                     progress(offset, size)
                 except ApiError as error:
                     if error.status in OUT_OF_STEP:
@@ -217,25 +220,31 @@ class AsyncConnection:
                 yield require_success(response)
 
     async def _request_once(self, method: str, url: str, **request: Any) -> httpx.Response:
-        """Send a request that must not reach the service twice; too fast a one did not reach it."""
+        """Send a request that must not do its work twice; one that came to nothing has not."""
         backoff = Backoff(self._options)
         while True:
             try:
                 return require_success(await self._answer(method, url, **request))
             except ApiError as error:
-                if not is_too_fast(error):
+                if not came_to_nothing(error):
                     raise
                 await anyio.sleep(backoff.pause_after(error))
 
     async def _request(
-        self, method: str, url: str, *, through: bool = False, **request: Any
+        self,
+        method: str,
+        url: str,
+        *,
+        through: bool = False,
+        patience_s: float = 0.0,
+        **request: Any,
     ) -> httpx.Response:
         """Send a request that may be repeated without harm, as often as the line breaks.
 
         A service that is not there at the first try is an error at once, unless ``through``: it
-        was there just now.
+        was there just now. Failures are waited out for ``patience_s`` at least.
         """
-        backoff = Backoff(self._options)
+        backoff = Backoff(self._options, patience_s)
         while True:
             try:
                 return require_success(await self._answer(method, url, **request))
@@ -244,9 +253,14 @@ class AsyncConnection:
                     raise
                 await anyio.sleep(backoff.pause_if_transient(error))
 
-    async def _get(self, url: str, kind: type[R], *, through: bool = False, **request: Any) -> R:
-        response = await self._request("GET", url, through=through, **request)
+    async def _get(self, url: str, kind: type[R], **request: Any) -> R:
+        response = await self._request("GET", url, **request)
         return kind.read(read_json(response))
+
+    async def _watch(self, url: str, kind: type[R], **request: Any) -> R:
+        """Read what is waited for: a service that is restarted meanwhile ends no wait."""
+        patience = self._options.wait_s
+        return await self._get(url, kind, through=True, patience_s=patience, **request)
 
     async def _create(self, url: str, kind: type[R], /, **body: Any) -> R:
         """Make something once, however often the line breaks."""

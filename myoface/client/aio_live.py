@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import anyio
 
 from myoface.client.aio_captures import AsyncCaptures
+from myoface.client.answers import read_json
 from myoface.client.jobs import by_origin
 from myoface.client.live_frames import (
     LiveFrame,
@@ -114,7 +115,7 @@ class AsyncLiveSessions(AsyncCaptures):
     async def end_live(self, session_id: str) -> LiveSession:
         """End a session and wait until its takes are stored."""
         response = await self._request("DELETE", f"/v1/live/{session_id}", through=True)
-        return LiveSession.read(response.json())
+        return LiveSession.read(read_json(response))
 
     async def _open_socket(self, url: str) -> AsyncSocket:
         proxy = describe_proxy(self._proxy)
@@ -293,11 +294,15 @@ class AsyncLiveFace:
             self.faults.append(words)
 
     async def _pass_on(self, message: bytes | str) -> None:
-        socket = self._connected()
-        try:
-            await socket.send(message)
-        except ApiError as error:
-            await self._come_back(socket, error)
+        while True:
+            socket = self._connected()
+            try:
+                await socket.send(message)
+                return
+            except ApiError as error:
+                await self._come_back(socket, error)
+                if isinstance(message, bytes):
+                    return  # a frame may be lost, a wish may not
 
     def _connected(self) -> AsyncSocket:
         if self._socket is None:

@@ -17,6 +17,7 @@ KEY_VARIABLE = "MYOFACE_API_KEY"
 CA_VARIABLE = "MYOFACE_CA"
 NO_AUTHORITY = "client.ca"
 BAD_ADDRESS = "client.address"
+BAD_KEY = "client.key"
 LAST_PORT = 65535
 
 
@@ -59,7 +60,10 @@ def key_for(url: str) -> str | None:
 
 def headers_for(url: str, key: str | None) -> dict[str, str]:
     """Return the headers of a client of ``url``, with ``key`` or the one there is for it."""
-    found = key or key_for(url)
+    found = (key or key_for(url) or "").strip()
+    if not found.isascii() or not found.isprintable() or " " in found:
+        detail = "the API key has characters that no key has: copy it again"
+        raise ApiError({"code": BAD_KEY, "detail": detail})
     return {"Authorization": f"Bearer {found}"} if found else {}
 
 

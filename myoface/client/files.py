@@ -21,7 +21,7 @@ from myoface.values import NOT_OF_THE_API
 TUS = {"Tus-Resumable": "1.0.0"}
 TUS_CONTENT = "application/offset+octet-stream"
 # Another offset than the service has, or a broken connection's lock that is not free yet.
-OUT_OF_STEP = frozenset({httpx.codes.CONFLICT, httpx.codes.LOCKED})
+OUT_OF_STEP = frozenset({httpx.codes.CONFLICT, httpx.codes.LOCKED, httpx.codes.REQUEST_TIMEOUT})
 GONE = frozenset({httpx.codes.NOT_FOUND, httpx.codes.GONE})
 
 # Longer than any service keeps an upload that nobody goes on with.

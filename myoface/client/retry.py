@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ class ClientOptions:
     """Patience of a client, and the portions it asks for."""
 
     timeout_s: float = 30.0  # for an answer
+    connect_s: float = 10.0  # for somebody at the address
     # The service sends a comment line at least this often while a job has no news.
     events_timeout_s: float = 60.0
     attempts: int = 8  # failures in a row after which a request is given up
@@ -32,6 +34,7 @@ class ClientOptions:
     batch_pause_s: float = 1.0  # between looks at a running batch
     stream_pause_s: float = 2.0  # where the service has no event stream to spare
     live_ready_s: float = 900.0  # until a live session is ready: its rig's skin may be made first
+    wait_s: float = 600.0  # that the service may be away while something is waited for
     live_frame_s: float = 1.0  # for the answer to a frame, which may have been dropped
     chunk_bytes: int = 4 * 1024 * 1024  # of an upload, in one request
 
@@ -39,12 +42,22 @@ class ClientOptions:
 DEFAULT_OPTIONS = ClientOptions()
 
 
-class Backoff:
-    """Pauses that double at each failure in a row, up to a number of attempts."""
+BUSY = "database.busy"
+# of a service, or of the proxy in front of one that is being restarted
+AWAY = (httpx.codes.BAD_GATEWAY, httpx.codes.SERVICE_UNAVAILABLE, httpx.codes.GATEWAY_TIMEOUT)
 
-    def __init__(self, options: ClientOptions = DEFAULT_OPTIONS) -> None:
+
+class Backoff:
+    """Pauses that double at each failure in a row, up to a number of attempts.
+
+    Before ``patience_s`` since the first of them no number of failures is too many.
+    """
+
+    def __init__(self, options: ClientOptions = DEFAULT_OPTIONS, patience_s: float = 0.0) -> None:
         self.failures = 0
         self._options = options
+        self._patience = patience_s
+        self._until = 0.0
 
     def reset(self) -> None:
         """Forget the failures: something went through."""
@@ -54,10 +67,14 @@ class Backoff:
         """Return the seconds to wait after a failure, or raise ``error`` if it is one too many."""
         options = self._options
         wish = requested_pause(error)
+        if self.failures == 0:
+            self._until = time.monotonic() + self._patience
         self.failures += 1
-        if self.failures >= options.attempts or (wish or 0) > options.longest_wish_s:
+        is_enough = self.failures >= options.attempts and time.monotonic() > self._until
+        if is_enough or (wish or 0) > options.longest_wish_s:
             raise error
-        return wish or min(options.first_pause_s * 2**self.failures, options.longest_pause_s)
+        doubled = options.first_pause_s * 2 ** min(self.failures, 20)
+        return wish or min(doubled, options.longest_pause_s)
 
     def pause_if_transient(self, error: ApiError) -> float:
         """Return the seconds to wait after a failure that may pass; raise one that will not."""
@@ -96,12 +113,13 @@ def is_too_fast(error: ApiError) -> bool:
 
 def is_never_reached(error: ApiError) -> bool:
     """Return True if there was nobody to connect to."""
-    return isinstance(error.__cause__, httpx.ConnectError)
+    return isinstance(error.__cause__, (httpx.ConnectError, httpx.ConnectTimeout))
+
+
+def came_to_nothing(error: ApiError) -> bool:
+    """Return True if the service says that it has done nothing of what was asked."""
+    return is_too_fast(error) or error.code == BUSY
 
 
 def _is_transient(error: ApiError) -> bool:
-    return (
-        error.code in (UNREACHABLE, IN_FLIGHT)
-        or error.status == httpx.codes.SERVICE_UNAVAILABLE
-        or is_too_fast(error)
-    )
+    return error.code in (UNREACHABLE, IN_FLIGHT) or error.status in AWAY or came_to_nothing(error)

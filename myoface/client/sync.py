@@ -166,8 +166,8 @@ class Client(LiveSessions):
         while True:
             query = {"start": start, "limit": self._options.frame_page_items}
             # The job first: the frames of one that had ended by then are all there.
-            job = self._get(url, Job, through=True)
-            page = self._get(f"{url}/frames", FramePage, through=True, params=query)
+            job = self._watch(url, Job)
+            page = self._watch(f"{url}/frames", FramePage, params=query)
             frames = list(map(read_frame, page.frames))
             for frame in frames:
                 yield frame
@@ -190,14 +190,15 @@ class Client(LiveSessions):
         if it failed or was canceled.
         """
         options = self._options
-        backoff = Backoff(self._options)
+        backoff = Backoff(options, options.wait_s)
         while True:
-            job = self._get(f"/v1/jobs/{job_id}", Job, through=True)
+            job = self._watch(f"/v1/jobs/{job_id}", Job)
             watch(job)
             if job.state in FINAL_STATES:
                 return require_job(job)
             try:
-                self._follow(job, watch, backoff)
+                if not self._follow(job, watch, backoff):
+                    time.sleep(options.stream_pause_s)  # a proxy may end them at once
             except ApiError as error:
                 if error.code == TOO_MANY_STREAMS:
                     # Asking again and again does as well.
@@ -206,8 +207,9 @@ class Client(LiveSessions):
                 else:
                     time.sleep(backoff.pause_if_transient(error))
 
-    def _follow(self, job: Job, watch: Watcher, backoff: Backoff) -> None:
-        """Report a job's progress to ``watch`` until its state changes."""
+    def _follow(self, job: Job, watch: Watcher, backoff: Backoff) -> bool:
+        """Report a job's progress to ``watch`` until its state changes; tell if anything came."""
+        came = False
         options = self._options
         reader = EventReader()
         headers = {"Last-Event-ID": str(job.last_event_id)}
@@ -217,10 +219,12 @@ class Client(LiveSessions):
             for content in response.iter_bytes():
                 for event in reader.read(content):
                     backoff.reset()
+                    came = True
                     if event.kind != "progress":
-                        return
+                        return came
                     progress = Progress.read(event.data)
                     watch(dataclasses.replace(job, progress=progress))
+        return came
 
     # Batches
 
@@ -251,12 +255,12 @@ class Client(LiveSessions):
             self._require_vertices(scans, subject_id)
         for scan in scans:
             its = marks.get(scan.path.resolve())
-            sent = self.upload(scan.path, progress=progress)
+            packed = scan.role not in NO_SCANS and not registered
             captures.append(
                 {
                     "name": scan.name,
                     "role": scan.role,
-                    "upload_id": sent.id,
+                    "upload_id": self._upload_scan(scan.path, progress, packed=packed),
                     "registered": registered or scan.role in NO_SCANS,
                     "landmarks_upload_id": its and (self.upload(its)).id,
                 }
@@ -289,7 +293,7 @@ class Client(LiveSessions):
     def wait_for_batch(self, batch_id: str, watch: BatchWatcher = unwatched_batch) -> Batch:
         """Wait until a batch has ended; raises :class:`ApiError` if it did not succeed."""
         while True:
-            batch = self._get(f"/v1/batches/{batch_id}", Batch, through=True)
+            batch = self._watch(f"/v1/batches/{batch_id}", Batch)
             watch(batch)
             if batch.state != "running":
                 return require_batch(batch)

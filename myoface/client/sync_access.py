@@ -91,7 +91,7 @@ class Access(Connection):
 
     def delete_webhook(self, webhook_id: str) -> None:
         """Delete a webhook with its log."""
-        self._request("DELETE", f"/v1/webhooks/{webhook_id}")
+        self._request_once("DELETE", f"/v1/webhooks/{webhook_id}")
 
     def rotate_webhook(self, webhook_id: str) -> NewWebhook:
         """Give a webhook a new secret; for a day the old one signs too."""

@@ -128,17 +128,14 @@ class Captures(Access):
             self._require_vertices([scan], subject_id)
         marks = None if landmarks is None else (self.upload(landmarks)).id
         shown = None if mask is None else (self.upload(mask)).id
-        with TemporaryDirectory() as folder:
-            file = path
-            if scan.role not in NO_SCANS and not registered:
-                file = with_images(path, Path(folder))
-            sent = self.upload(file, progress=progress)
+        packed = scan.role not in NO_SCANS and not registered
+        sent = self._upload_scan(path, progress, packed=packed)
         return self._create(
             f"/v1/subjects/{subject_id}/captures",
             Capture,
             name=scan.name,
             role=scan.role,
-            upload_id=sent.id,
+            upload_id=sent,
             registered=registered or scan.role in NO_SCANS,
             landmarks_upload_id=marks,
             mask_upload_id=shown,
@@ -146,6 +143,12 @@ class Captures(Access):
             title=title,
             labels=labels,
         )
+
+    def _upload_scan(self, path: Path, progress: Transferred, *, packed: bool) -> str:
+        """Upload a scan, ``packed`` with the images that it names; return the upload's id."""
+        with TemporaryDirectory() as folder:
+            file = with_images(path, Path(folder)) if packed else path
+            return (self.upload(file, progress=progress)).id
 
     def change_capture(
         self,

@@ -41,8 +41,8 @@ from myoface.client.retry import (
     DEFAULT_OPTIONS,
     Backoff,
     ClientOptions,
+    came_to_nothing,
     is_never_reached,
-    is_too_fast,
     transport_errors,
 )
 from myoface.errors import ApiError
@@ -76,7 +76,7 @@ class Connection:
         self.http = httpx.Client(
             base_url=url,
             headers=headers_for(url, key),
-            timeout=httpx.Timeout(options.timeout_s),
+            timeout=httpx.Timeout(options.timeout_s, connect=options.connect_s),
             proxy=self._proxy,
             trust_env=False,
             verify=self._authority,
@@ -138,6 +138,7 @@ class Connection:
     def _send_file(self, url: str, path: Path, progress: Transferred) -> None:
         size = path.stat().st_size
         backoff = Backoff(self._options)
+        most = -1  # that the service has had: what brings no more counts as a failure
         offset: int | None = None  # None: ask the service how much it has
         with path.open("rb") as stream:
             while offset != size:
@@ -150,8 +151,10 @@ class Connection:
                         offset = None
                         content = stream.read(self._options.chunk_bytes)
                         response = self._answer("PATCH", url, content=content, headers=headers)
-                        backoff.reset()
                     offset = read_offset(require_success(response), size)
+                    if offset > most:
+                        most = offset
+                        backoff.reset()
                     progress(offset, size)
                 except ApiError as error:
                     if error.status in OUT_OF_STEP:
@@ -217,25 +220,31 @@ class Connection:
                 yield require_success(response)
 
     def _request_once(self, method: str, url: str, **request: Any) -> httpx.Response:
-        """Send a request that must not reach the service twice; too fast a one did not reach it."""
+        """Send a request that must not do its work twice; one that came to nothing has not."""
         backoff = Backoff(self._options)
         while True:
             try:
                 return require_success(self._answer(method, url, **request))
             except ApiError as error:
-                if not is_too_fast(error):
+                if not came_to_nothing(error):
                     raise
                 time.sleep(backoff.pause_after(error))
 
     def _request(
-        self, method: str, url: str, *, through: bool = False, **request: Any
+        self,
+        method: str,
+        url: str,
+        *,
+        through: bool = False,
+        patience_s: float = 0.0,
+        **request: Any,
     ) -> httpx.Response:
         """Send a request that may be repeated without harm, as often as the line breaks.
 
         A service that is not there at the first try is an error at once, unless ``through``: it
-        was there just now.
+        was there just now. Failures are waited out for ``patience_s`` at least.
         """
-        backoff = Backoff(self._options)
+        backoff = Backoff(self._options, patience_s)
         while True:
             try:
                 return require_success(self._answer(method, url, **request))
@@ -244,9 +253,14 @@ class Connection:
                     raise
                 time.sleep(backoff.pause_if_transient(error))
 
-    def _get(self, url: str, kind: type[R], *, through: bool = False, **request: Any) -> R:
-        response = self._request("GET", url, through=through, **request)
+    def _get(self, url: str, kind: type[R], **request: Any) -> R:
+        response = self._request("GET", url, **request)
         return kind.read(read_json(response))
+
+    def _watch(self, url: str, kind: type[R], **request: Any) -> R:
+        """Read what is waited for: a service that is restarted meanwhile ends no wait."""
+        patience = self._options.wait_s
+        return self._get(url, kind, through=True, patience_s=patience, **request)
 
     def _create(self, url: str, kind: type[R], /, **body: Any) -> R:
         """Make something once, however often the line breaks."""

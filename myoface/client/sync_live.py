@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
+from myoface.client.answers import read_json
 from myoface.client.jobs import by_origin
 from myoface.client.live_frames import (
     LiveFrame,
@@ -107,7 +108,7 @@ class LiveSessions(Captures):
     def end_live(self, session_id: str) -> LiveSession:
         """End a session and wait until its takes are stored."""
         response = self._request("DELETE", f"/v1/live/{session_id}", through=True)
-        return LiveSession.read(response.json())
+        return LiveSession.read(read_json(response))
 
     def _open_socket(self, url: str) -> Socket:
         proxy = describe_proxy(self._proxy)
@@ -284,11 +285,15 @@ class LiveFace:
             self.faults.append(words)
 
     def _pass_on(self, message: bytes | str) -> None:
-        socket = self._connected()
-        try:
-            socket.send(message)
-        except ApiError as error:
-            self._come_back(socket, error)
+        while True:
+            socket = self._connected()
+            try:
+                socket.send(message)
+                return
+            except ApiError as error:
+                self._come_back(socket, error)
+                if isinstance(message, bytes):
+                    return  # a frame may be lost, a wish may not
 
     def _connected(self) -> Socket:
         if self._socket is None:

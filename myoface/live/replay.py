@@ -66,9 +66,16 @@ class Replay:
 
     @classmethod
     def _points(cls, path: Path, rate: float) -> Replay:
+        from solver.errors import InputError
         from solver.storage import map_array
 
-        array = map_array(path)
+        try:
+            array = map_array(path)
+            if array.ndim != 3 or array.shape[2] != 3 or array.dtype.kind not in "fiu":
+                raise ValueError(f"an array of {array.dtype} of the shape {array.shape}")
+        except (OSError, ValueError) as error:
+            message = f"{path.name} has no frames of points (f, n, 3): {error}"
+            raise InputError("performance.unreadable", message, file=path.name) from error
         frames = (
             Timed(number / rate, points.astype("<f4").tobytes())
             for number, points in enumerate(array)

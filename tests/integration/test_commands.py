@@ -330,7 +330,7 @@ def test_a_rig_is_fetched_whole_packed_and_for_other_programs(
     assert "export_rig" not in myoface("jobs", "list").output  # it was there
     myoface("export", rig[:8], "-o", tmp_path / "out")
     assert (tmp_path / "out" / "rig.usdc").read_text() == "usd of smile"
-    assert "there is no rig" in myoface("export", "nothing.npz", code=2).output
+    assert "there is no file nothing.npz" in myoface("export", "nothing.npz", code=2).output
 
 
 def test_names_are_refused_before_anything_is_sent(myoface: Command, tmp_path: Path) -> None:

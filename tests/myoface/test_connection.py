@@ -100,6 +100,50 @@ def test_nobody_there_is_said_at_once() -> None:
     assert len(asked) == 1
 
 
+def test_a_job_is_waited_for_while_its_service_is_restarted(pauses: list[float]) -> None:
+    job = {"id": "1", "subject_id": "2", "kind": "build_model", "state": "succeeded", "attempt": 1}
+    away = [refusal(502, {"code": "x"}) for _ in range(ClientOptions().attempts + 1)]
+    client, asked = service(*away, httpx.Response(200, json=job))
+    assert client.wait("1").state == "succeeded"
+    assert len(pauses) == len(away) == len(asked) - 1
+
+
+def test_a_service_that_had_no_time_to_write_is_asked_again(pauses: list[float]) -> None:
+    gone = httpx.Response(202, headers={"Location": "/v1/jobs/1"})
+    client, asked = service(refusal(503, {"code": "database.busy"}), gone)
+    assert client.delete_subject("1")
+    assert len(asked) == 2
+    assert len(pauses) == 1
+
+
+def test_an_upload_that_never_goes_on_is_given_up(tmp_path: Path, pauses: list[float]) -> None:
+    file = tmp_path / "scan.obj"
+    file.write_text("v 0 0 0\n")
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        if request.method == "POST":
+            return httpx.Response(201, headers={"Location": "/v1/uploads/1"})
+        if request.method == "HEAD":
+            return httpx.Response(200, headers={"Upload-Offset": "0"})
+        return refusal(503, {"code": "storage.full"})
+
+    client, _ = service()
+    client.http = httpx.Client(base_url="http://service", transport=httpx.MockTransport(answer))
+    with pytest.raises(ApiError, match=r"storage\.full"):
+        client.upload(file)
+    assert len(pauses) == ClientOptions().attempts - 1
+
+
+@pytest.mark.parametrize("key", ["myo_a\nb", "myo_ä", "Bearer myo_a"])
+def test_what_is_no_key_is_told_at_once(key: str) -> None:
+    with pytest.raises(ApiError, match=r"client\.key"):
+        Client("http://service", key)
+
+
+def test_a_key_may_end_in_a_new_line() -> None:
+    assert Client("http://service", "myo_a\n").http.headers["Authorization"] == "Bearer myo_a"
+
+
 def test_kinds_have_an_old_name_for_one_release() -> None:
     kind = {"kind": "edit", "title": "Edit", "description": "Change.", "options": {}}
     page = httpx.Response(200, json={"items": [kind]})

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, Protocol, cast
 
 from pydantic import TypeAdapter, ValidationError
@@ -96,8 +97,13 @@ def export_measured(
     except (TypeError, ValidationError) as error:
         raise InputError("export.options", f"options of {name}: {error}") from error
     file.parent.mkdir(parents=True, exist_ok=True)
-    chosen.write(rig, file, given)
-    return Exported(file, chosen.read_back(rig, file, given))
+    # beside it under its own name, by which faults call it: no reader sees half of a file
+    with TemporaryDirectory(prefix=".part-", dir=file.parent) as folder:
+        part = Path(folder) / file.name
+        chosen.write(rig, part, given)
+        figures = chosen.read_back(rig, part, given)
+        part.replace(file)
+    return Exported(file, figures)
 
 
 def export_all(rig: Rig, folder: Path) -> list[Exported]:

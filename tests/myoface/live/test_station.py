@@ -19,9 +19,10 @@ import pytest
 
 from myoface.cli.live import MOST_RATE, TAKE, USUAL_RATE
 from myoface.cli.live import Source as StationSource
-from myoface.client import LiveFrame, Timed
-from myoface.client.aio_live import FOR_GOOD
+from myoface.client import ClientOptions, LiveFrame, Timed
+from myoface.client.aio_live import FOR_GOOD, AsyncLiveFace
 from myoface.client.live_frames import read_frame
+from myoface.errors import UNREACHABLE, ApiError
 from myoface.live.datagrams import PacketError, Port
 from myoface.live.lines import read_line, tell_frame
 from myoface.live.live_link import read_packet
@@ -30,11 +31,12 @@ from myoface.live.replay import Replay, play
 from myoface.live.sinks import LineSink, OscSink
 from myoface.live.station import Given, Station, Tally
 from service.live import relay
+from solver.errors import InputError
 from solver.kinds.live_messages import GAP, HELD, FollowedFrame
 from solver.kinds.live_session import LiveSession, Source
 from solver.live import takes
 from solver.live.texts import describe_frame
-from tests.myoface.live.echo import READY, EchoSocket, echo_face
+from tests.myoface.live.echo import READY, EchoLine, EchoSocket, echo_face
 from tests.myoface.live.packets import live_link_packet
 
 
@@ -211,7 +213,7 @@ def test_a_line_says_a_frame_as_the_session_does_in_text() -> None:
     rig = SimpleNamespace(model=SimpleNamespace(muscle_names=READY["muscles"]))
     session: Any = SimpleNamespace(
         layout=tuple((name, shapes[name]) for name in arrays),
-        face=SimpleNamespace(live=names, rig=rig),
+        face=SimpleNamespace(skin=names, rig=rig),
     )
     numbers = b"".join(array("f", each).tobytes() for each in arrays.values())
     sent = FollowedFrame(7, 0.5, 1.5, math.nan, 0.25, 2, HELD | GAP, numbers)
@@ -278,3 +280,32 @@ def test_a_performance_is_played_as_points(tmp_path: Path) -> None:
 
     assert (replay.source, replay.rate) == ("points", 25.0)
     assert frames[1] == Timed(0.04, struct.pack("<6f", *range(6, 12)))
+
+
+@pytest.mark.parametrize("given", [b"no array", np.zeros((4, 3)), np.zeros((2, 2, 3), bool)])
+def test_what_is_no_performance_is_refused_by_name(given: Any, tmp_path: Path) -> None:
+    file = tmp_path / "take.npy"
+    if isinstance(given, bytes):
+        file.write_bytes(given)
+    else:
+        np.save(file, given)
+    with pytest.raises(InputError, match=r"take\.npy has no frames of points"):
+        Replay.open(file, 25.0)
+
+
+class BrokenSocket(EchoSocket):
+    """A line on which nothing can be said any more."""
+
+    async def send(self, message: bytes | str) -> None:
+        raise ApiError({"code": UNREACHABLE, "detail": "the line broke"})
+
+
+def test_a_wish_is_said_again_where_the_line_broke() -> None:
+    async def record() -> list[dict[str, Any]]:
+        mended = EchoSocket()
+        face = AsyncLiveFace("echo", EchoLine(mended), ClientOptions(), lambda words: None)
+        await face.open(BrokenSocket())
+        await face.record("one")
+        return mended.wishes
+
+    assert anyio.run(record) == [{"record": "one"}]
