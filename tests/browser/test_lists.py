@@ -30,6 +30,10 @@ def test_addresses_are_served_as_they_are_typed(show: Show) -> None:
         ("/audit", "Audit log"),
     ):
         show(path).locator("h1").get_by_text(heading).wait_for()
+    page = show("/markers/%E0%A4%A")
+    page.get_by_text("which is no id").wait_for()
+    page.get_by_role("link", name="All subjects").click()
+    page.locator("h1").get_by_text("Subjects").wait_for()
     page = show("/rigs/5f1b")
     page.get_by_text("which is no id").wait_for()
     page.get_by_role("link", name="All rigs").click()
@@ -54,6 +58,38 @@ def test_markup_in_a_name_is_shown_as_text(show: Show, studio: Studio) -> None:
     page.get_by_text(name).first.wait_for()
     assert page.locator("img[src=x]").count() == 0
     assert page.title() != "gotcha"
+
+
+def test_only_who_types_the_name_deletes_a_person(show: Show, studio: Studio) -> None:
+    subject = studio.post("/v1/subjects", name="Zoë-Ann (2/3) [b]  x")
+    page = show(f"/subjects/{subject['id']}")
+    page.get_by_role("button", name="Delete subject").click()
+    typed = page.get_by_label("To be sure, type the name")
+    agreed = page.get_by_role("button", name="Delete for good")
+    for name in ("Zoë", "zoë-ann (2/3) [b] x"):
+        typed.fill(name)
+        agreed.click()
+        assert typed.evaluate("input => input.validationMessage").startswith("Type Zoë-Ann")
+    typed.fill("Zoë-Ann (2/3) [b] x")
+    agreed.click()
+    page.get_by_text("is deleted").wait_for()
+
+
+def test_an_answer_that_breaks_off_is_asked_for_again(show: Show, studio: Studio) -> None:
+    subject = studio.modelled()
+    long = studio.capture(subject, "long", seconds="60")
+    job = studio.submit("fit_geometry", subject, captures=[long])
+    page = show(f"/jobs/{job}")
+    page.locator(".head .state").get_by_text("Running").wait_for()
+    asked = f"**/v1/jobs/{job}"
+    cut = {"status": 200, "content_type": "application/json", "body": '{"id": "'}
+    with page.expect_response(asked):
+        page.route(asked, lambda route: route.fulfill(**cut))
+    studio.post(f"/v1/jobs/{job}/cancel", reason="the test is over")
+    with page.expect_response(asked):
+        page.get_by_text("was deleted").wait_for(state="hidden")
+    page.unroute(asked)
+    page.locator(".head .state").get_by_text("Canceled").wait_for()
 
 
 def test_a_webhook_is_added_tried_and_deleted(show: Show, studio: Studio) -> None:

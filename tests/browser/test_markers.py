@@ -67,7 +67,7 @@ def test_a_marker_is_dragged_renamed_and_the_set_saved(
     page.mouse.move(x, y)
     page.mouse.down()
     for step in range(1, 6):
-        page.mouse.move(x + 4 * step, y + 2 * step)
+        page.mouse.move(x + 4 * step, y - 2 * step)
     page.mouse.up()
     assert page.evaluate("window.placed.chosen") == 2
     dragged = np.array(page.evaluate("Array.from(window.placed.places)")).reshape(-1, 3)

@@ -60,8 +60,21 @@ async function send(path, init, signal) {
   } catch (error) {
     if (signal?.aborted) throw signal.reason;
     tell(false);
-    const why = error.name === "TimeoutError" ? "did not answer in time" : "does not answer";
-    throw new ApiProblem({ status: 0, code: "page.no_answer", detail: `the service ${why}` });
+    throw noAnswer(error.name === "TimeoutError" ? "did not answer in time" : "does not answer");
+  }
+}
+
+function noAnswer(why) {
+  return new ApiProblem({ status: 0, code: "page.no_answer", detail: `the service ${why}` });
+}
+
+/** Read the body of an answer, by default as JSON; one that breaks off is a problem like no answer. */
+export async function contentOf(response, signal = undefined, kind = "json") {
+  try {
+    return await response[kind]();
+  } catch (error) {
+    if (signal?.aborted) throw signal.reason;
+    throw noAnswer(error.name === "SyntaxError" ? "answered with something else" : "broke off its answer");
   }
 }
 
@@ -85,23 +98,22 @@ async function asProblem(response) {
 
 /** Get JSON; `query` is an object, whose empty members are left out. */
 export async function get(path, query = {}, signal = undefined) {
-  const response = await request(withQuery(path, query), { signal });
-  return response.json();
+  return contentOf(await request(withQuery(path, query), { signal }), signal);
 }
 
 /** Send JSON by POST and return the answer's. */
 export async function post(path, json = undefined, signal = undefined) {
-  return (await request(path, { method: "POST", json, signal })).json();
+  return contentOf(await request(path, { method: "POST", json, signal }), signal);
 }
 
 /** Send JSON by PUT and return the answer's. */
 export async function put(path, json, signal = undefined) {
-  return (await request(path, { method: "PUT", json, signal })).json();
+  return contentOf(await request(path, { method: "PUT", json, signal }), signal);
 }
 
 /** Change something by PATCH and return it as it is now. */
 export async function patch(path, json, signal = undefined) {
-  return (await request(path, { method: "PATCH", json, signal })).json();
+  return contentOf(await request(path, { method: "PATCH", json, signal }), signal);
 }
 
 /** Delete something. */
@@ -124,15 +136,20 @@ export async function all(path, query = {}, signal = undefined) {
 /** Get a file; `progress(received, total)` is called as it arrives (total 0: unknown). */
 export async function bytes(path, { signal, progress } = {}) {
   const response = await request(path, { signal, patience: null });
-  if (!progress) return response.arrayBuffer();
+  if (!progress) return contentOf(response, signal, "arrayBuffer");
   // what arrives is counted unpacked; a packed answer tells only its packed length
   const total = response.headers.has("Content-Encoding") ? 0 : Number(response.headers.get("Content-Length"));
   const parts = [];
   let received = 0;
-  for await (const part of chunks(response.body)) {
-    parts.push(part);
-    received += part.length;
-    progress(received, total);
+  try {
+    for await (const part of chunks(response.body)) {
+      parts.push(part);
+      received += part.length;
+      progress(received, total);
+    }
+  } catch {
+    if (signal?.aborted) throw signal.reason;
+    throw noAnswer("broke off its answer");
   }
   return new Blob(parts).arrayBuffer();
 }

@@ -63,6 +63,9 @@ addEventListener("drop", async (event) => {
   document.dispatchEvent(new CustomEvent("filesdropped", { detail: await files }));
 });
 
+// What is refused in a form has to be seen before it can be mended.
+document.addEventListener("invalid", ({ target }) => target.closest("details")?.setAttribute("open", ""), true);
+
 document.addEventListener("keychange", showAccount);
 showAccount();
 start();

@@ -9,6 +9,7 @@ const ID = /^[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}$/i;
 const EXAMPLE = "8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11";
 
 let dispose = null;
+let place = null; // path and query of the view
 let turn = 0; // a view that finishes mounting after the next navigation is dropped
 
 onNavigate(open);
@@ -16,15 +17,22 @@ onNavigate(open);
 /** Start: show the view of the address. */
 export function start() {
   document.addEventListener("click", follow);
-  addEventListener("popstate", () => open());
+  // a link to a place on the page is a change of place as well
+  addEventListener("popstate", () => place !== here() && open());
   return open();
+}
+
+function here() {
+  return location.pathname + location.search;
 }
 
 async function open({ focus = false } = {}) {
   const mine = ++turn;
   dispose?.();
   dispose = null;
+  place = here();
   const main = document.getElementById("main");
+  main.removeAttribute("aria-busy");
   const found = match(location.pathname);
   markNavigation();
   const root = h("div", { class: "view" });
@@ -60,7 +68,8 @@ async function open({ focus = false } = {}) {
 
 /** Say that an address has no id where one belongs, and where to find what was meant. */
 function noId(text) {
-  const list = `/${location.pathname.split("/")[1]}`;
+  const [, first] = location.pathname.split("/");
+  const list = first === "markers" ? "/subjects" : `/${first}`; // marker sets have no list of their own
   return h(
     "div",
     { class: "notice bad", role: "alert" },

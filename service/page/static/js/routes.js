@@ -43,9 +43,17 @@ export function match(pathname) {
     });
     const found = new RegExp(`^${pattern}/?$`).exec(pathname);
     if (found) {
-      const values = found.slice(1).map(decodeURIComponent);
+      const values = found.slice(1).map(decoded);
       return { route, params: Object.fromEntries(names.map((name, i) => [name, values[i]])) };
     }
   }
   return null;
+}
+
+function decoded(text) {
+  try {
+    return decodeURIComponent(text);
+  } catch {
+    return text; // cut off within a character: no id, whatever it was
+  }
 }

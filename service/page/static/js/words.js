@@ -13,6 +13,7 @@ const DAY_AND_TIME = new Intl.DateTimeFormat(undefined, {
   minute: "2-digit",
   hourCycle: "h23",
 });
+const DAY_OF_A_YEAR = new Intl.DateTimeFormat(undefined, { day: "numeric", month: "short", year: "numeric" });
 const MOST_NAMED = 4;
 const UNITS = ["B", "kB", "MB", "GB", "TB"];
 
@@ -21,11 +22,12 @@ export function time(moment) {
   return TIME.format(new Date(moment));
 }
 
-/** The time of day if it was today, with the day if not. */
+/** The time of day if it was today, with the day if not, and the day alone of another year. */
 export function when(moment) {
   const then = new Date(moment);
-  const isToday = then.toDateString() === new Date().toDateString();
-  return (isToday ? TIME : DAY_AND_TIME).format(then);
+  const now = new Date();
+  if (then.getFullYear() !== now.getFullYear()) return DAY_OF_A_YEAR.format(then);
+  return (then.toDateString() === now.toDateString() ? TIME : DAY_AND_TIME).format(then);
 }
 
 /** A length of time: "12 s", "3 min 05 s", "2 h 10 min". */

@@ -6,7 +6,8 @@ import { ask } from "./dialog.js";
 
 /** Ask and delete; resolves to true if it was done. */
 export function askToDeleteSubject(subject) {
-  const pattern = subject.name.replace(/[-/\\^$*+?.()|[\]{}]/g, "\\$&");
+  const compare = () => typed.setCustomValidity(alike(typed.value) === alike(subject.name) ? "" : `Type ${subject.name}`);
+  const typed = h("input", { type: "text", required: true, autocomplete: "off", oninput: compare });
   return ask({
     title: `Delete ${subject.name}?`,
     body: [
@@ -19,7 +20,7 @@ export function askToDeleteSubject(subject) {
         "label",
         { class: "field" },
         h("span", {}, `To be sure, type the name: ${subject.name}`),
-        h("input", { type: "text", required: true, pattern, autocomplete: "off", title: subject.name }),
+        typed,
       ),
     ],
     agree: "Delete for good",
@@ -29,4 +30,9 @@ export function askToDeleteSubject(subject) {
       return true;
     },
   });
+}
+
+/** Return a name as it is seen: blanks in a row look like one. */
+function alike(name) {
+  return name.trim().replace(/\s+/g, " ");
 }

@@ -23,12 +23,13 @@ export function ask({ title, body, agree, act, danger = false }) {
     );
     const dialog = h("dialog", { "aria-labelledby": "dialog-title", onclose: end }, form);
     let answer = null;
+    dialog.addEventListener("cancel", (event) => yes.disabled && event.preventDefault()); // it is being done
     document.body.append(dialog);
     dialog.showModal();
 
     async function submit(event) {
       event.preventDefault();
-      yes.disabled = true;
+      yes.disabled = no.disabled = true;
       try {
         answer = await act(form);
         dialog.close();
@@ -36,7 +37,7 @@ export function ask({ title, body, agree, act, danger = false }) {
         if (error.name !== "ApiProblem") console.error(error);
         fault.textContent = sentence(error);
         fault.hidden = false;
-        yes.disabled = false;
+        yes.disabled = no.disabled = false;
       }
     }
 

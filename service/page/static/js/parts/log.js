@@ -39,8 +39,10 @@ export class Log {
     do {
       const part = this.next ? { after: this.next, limit: A_TIME } : { tail: A_TIME };
       page = await get(`/v1/jobs/${this.jobId}/log`, part, signal);
-      if (page.next > this.next) this.add(page.lines);
-      this.next = page.next;
+      // two questions at a time may bring a line twice
+      const lines = page.lines.filter(({ number }) => number > this.next);
+      if (lines.length) this.add(lines);
+      this.next = Math.max(this.next, page.next);
     } while (page.lines.length === A_TIME);
   }
 

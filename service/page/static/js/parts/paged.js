@@ -4,8 +4,7 @@ import { get } from "../api.js";
 import { h } from "../dom.js";
 import { keyed } from "../keyed.js";
 import { table } from "./frame.js";
-import { toast } from "./toast.js";
-import { sentence } from "./trouble.js";
+import { doing } from "./toast.js";
 
 /**
  * A table of what the API lists at `path`, with buttons to turn pages.
@@ -20,14 +19,15 @@ export class Paged {
     this.size = size;
     this.query = {};
     this.cursors = [null];
+    this.asked = 0;
     this.shown = shown;
     const body = h("tbody");
     // an item that has changed is another: only its row is made anew
     this.showRows = keyed(body, ({ item }) => ({ element: row(item), update() {} }));
     this.table = table(columns, body);
     this.empty = h("p", { class: "empty", hidden: true }, empty);
-    this.newer = h("button", { type: "button", hidden: true, onclick: () => this.turn(-1) }, "Newer");
-    this.older = h("button", { type: "button", hidden: true, onclick: () => this.turn(1) }, "Older");
+    this.newer = h("button", { type: "button", hidden: true, onclick: () => this.turn(this.newer, -1) }, "Newer");
+    this.older = h("button", { type: "button", hidden: true, onclick: () => this.turn(this.older, 1) }, "Older");
     this.elements = [
       h("section", { class: "panel", "aria-label": label }, this.table, this.empty),
       h("nav", { class: "row", "aria-label": "Pages of the list" }, this.newer, this.older),
@@ -37,7 +37,9 @@ export class Paged {
   /** Ask for the page and show it. */
   async refresh() {
     const query = { ...this.query, limit: this.size, cursor: this.cursors.at(-1) };
+    const mine = ++this.asked;
     const { items, next } = await get(this.path, query, this.signal);
+    if (mine !== this.asked) return; // of another page or query by now
     this.next = next;
     this.showRows(items.map((item) => ({ id: JSON.stringify(item), item })));
     this.table.hidden = !items.length;
@@ -54,14 +56,17 @@ export class Paged {
     return this.refresh();
   }
 
-  async turn(by) {
-    if (by > 0) this.cursors.push(this.next);
-    else this.cursors.pop();
-    try {
-      await this.refresh();
-      scrollTo(0, 0);
-    } catch (error) {
-      toast(sentence(error), "bad");
-    }
+  async turn(button, by) {
+    const before = this.cursors;
+    this.cursors = by > 0 ? [...before, this.next] : before.slice(0, -1);
+    await doing(button, async () => {
+      try {
+        await this.refresh();
+        scrollTo(0, 0);
+      } catch (error) {
+        this.cursors = before;
+        throw error;
+      }
+    });
   }
 }

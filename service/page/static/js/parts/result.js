@@ -11,6 +11,7 @@ import { findingList, judgedLines } from "./findings.js";
 import { askForJob } from "./new_job.js";
 import { studioPlace } from "../studio/place.js";
 import { verdictState } from "./state.js";
+import { doing } from "./toast.js";
 
 /** What the pictures of each kind show. */
 const PICTURES = {
@@ -88,7 +89,8 @@ function goOn(words, request) {
     const next = await askForJob(await request());
     if (next) navigate(`/jobs/${next.id}`);
   };
-  return h("button", { type: "button", onclick: act }, words);
+  const button = h("button", { type: "button", onclick: () => doing(button, act) }, words);
+  return button;
 }
 
 /** The fit of a checked take by the places that the check found, not by those it was checked against. */

@@ -1,6 +1,6 @@
 // A set of files dropped together: sent file by file, then added as one batch, which is followed to its end.
 
-import { get, request } from "../api.js";
+import { contentOf, get, request } from "../api.js";
 import { h, show } from "../dom.js";
 import { newId } from "../jobs.js";
 import { capturesById, changed } from "../library.js";
@@ -63,7 +63,7 @@ export class Session {
       for (const row of arrived) row.take(batch.scans.find(({ name }) => name === row.capture.name));
       if (batch.then.length) this.#follow(batch);
     } catch (error) {
-      const row = await this.#inTheWay(error, arrived);
+      const row = await this.#inTheWay(error, arrived).catch(() => null);
       for (const each of row ? [row] : arrived) each.fail(error);
     }
   }
@@ -83,7 +83,7 @@ export class Session {
     });
     if (this.#sent?.body !== body) this.#sent = { body, key: newId() };
     const headers = { "Content-Type": "application/json", "Idempotency-Key": this.#sent.key };
-    return (await request("/v1/batches", { method: "POST", body, headers })).json();
+    return contentOf(await request("/v1/batches", { method: "POST", body, headers }));
   }
 
   /** Return the row that an earlier scan of the subject keeps out, null if that is not the error. */

@@ -7,9 +7,11 @@ const SECONDS = 8;
 
 /** Show a sentence for a while; `tone` is `good` or `bad`. */
 export function toast(text, tone = "good") {
+  const toasts = document.getElementById("toasts");
+  for (const other of [...toasts.children]) if (other.dataset.text === text) other.remove(); // said once is enough
   const box = h(
     "div",
-    { class: `notice ${tone}`, role: tone === "bad" ? "alert" : "status" },
+    { class: `notice ${tone}`, "data-text": text, role: tone === "bad" ? "alert" : "status" },
     h(
       "div",
       { class: "row" },
@@ -21,7 +23,7 @@ export function toast(text, tone = "good") {
       ),
     ),
   );
-  document.getElementById("toasts").append(box);
+  toasts.append(box);
   if (tone !== "bad") setTimeout(() => box.remove(), 1000 * SECONDS);
 }
 

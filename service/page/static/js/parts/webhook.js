@@ -1,6 +1,6 @@
 // Parts of the views of webhooks: the form, the state in words, the secret that is shown once.
 
-import { post, request } from "../api.js";
+import { patch, post } from "../api.js";
 import { h } from "../dom.js";
 import { plain } from "../words.js";
 import { ask } from "./dialog.js";
@@ -60,7 +60,7 @@ export function askToChange(webhook, kinds) {
 
 /** Change a webhook and return it. */
 export async function change(id, json) {
-  return (await request(`/v1/webhooks/${id}`, { method: "PATCH", json })).json();
+  return patch(`/v1/webhooks/${id}`, json);
 }
 
 /** Show a webhook's new secret, the only time that it is told; resolves to the webhook. */

@@ -1,6 +1,6 @@
 // The place of a studio's rig among a job's results: its file and images are fetched as the panel is made.
 
-import { bytes, request } from "../api.js";
+import { bytes, contentOf, request } from "../api.js";
 import { h, show } from "../dom.js";
 import { sentence } from "../parts/trouble.js";
 
@@ -22,7 +22,7 @@ async function load(place, file, told, artifacts, signal) {
   const maps = Object.entries(told.wrinkles ?? {}).map(async ([name, { file: image }]) => {
     const { id } = artifacts.find((each) => each.name === image);
     const response = await request(`/v1/artifacts/${id}`, { signal });
-    return [name, await response.blob()];
+    return [name, await contentOf(response, signal, "blob")];
   });
   const [{ StudioModel }, { StudioView }, buffer, ...wrinkles] = await Promise.all([
     import("./model.js"), import("./view.js"), bytes(`/v1/artifacts/${file.id}`, { signal }), ...maps,

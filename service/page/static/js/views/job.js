@@ -1,6 +1,6 @@
 // One job: what it does, how far it is, what came of it, and what can be done about it.
 
-import { get, request } from "../api.js";
+import { contentOf, get, request } from "../api.js";
 import { announce, h, joined, setText, show } from "../dom.js";
 import { watch } from "../events.js";
 import { applied, inLine, seconds } from "../jobs.js";
@@ -16,7 +16,8 @@ import { jobLinks, readersOf } from "../parts/readers.js";
 import { refuse } from "../parts/refuse.js";
 import { resultPanel } from "../parts/result.js";
 import { FINAL, state, word } from "../parts/state.js";
-import { doing } from "../parts/toast.js";
+import { doing, toast } from "../parts/toast.js";
+import { sentence } from "../parts/trouble.js";
 import { repeat } from "../repeat.js";
 import { navigate, title as nameWindow } from "../navigate.js";
 import { plain, span, when } from "../words.js";
@@ -50,7 +51,7 @@ export async function mount(root, { id }) {
     () => view.refresh(),
     EVERY_MS,
     signal,
-    () => view.isGone(),
+    (error) => (error.status === 404 ? view.isGone() : toast(sentence(error), "bad")),
   );
   listen(view, signal);
   return () => ending.abort();
@@ -160,7 +161,7 @@ class JobView {
     const response = await request(`/v1/jobs/${this.job.id}/frames/picture`, { signal: this.signal });
     if (response.status === NO_CONTENT) return;
     const before = this.newest.src;
-    this.newest.src = URL.createObjectURL(await response.blob());
+    this.newest.src = URL.createObjectURL(await contentOf(response, this.signal, "blob"));
     URL.revokeObjectURL(before);
     this.newest.hidden = false;
   }

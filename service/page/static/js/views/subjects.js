@@ -19,8 +19,7 @@ export async function mount(root) {
     empty: ["No subjects yet. ", h("a", { href: "/upload" }, "Upload scans"), " to add one."],
     signal: ending.signal,
     size: PAGE,
-    // a row without its figures is still a way to the subject
-    shown: (subjects) => describe(subjects, cells, ending.signal).catch(() => {}),
+    shown: (subjects) => describe(subjects, cells, ending.signal),
   });
   root.append(
     h(
@@ -57,12 +56,18 @@ function row({ id, name, labels, created_at: added }, cells) {
 /** Ask for each subject's scans and rigs, one after the other: the list is not urgent. */
 async function describe(subjects, cells, signal) {
   for (const { id } of subjects) {
-    const [captures, rigs] = await Promise.all([
-      all(`/v1/subjects/${id}/captures`, {}, signal),
-      get("/v1/rigs", { subject_id: id, limit: 100 }, signal),
-    ]);
-    setText(cells.get(id).scans, standing(captures));
-    show(cells.get(id).rigs, rigs.items.length ? newest(rigs.items) : "none");
+    const { scans, rigs } = cells.get(id);
+    try {
+      const [captures, made] = await Promise.all([
+        all(`/v1/subjects/${id}/captures`, {}, signal),
+        get("/v1/rigs", { subject_id: id, limit: 100 }, signal),
+      ]);
+      setText(scans, standing(captures));
+      show(rigs, made.items.length ? newest(made.items) : "none");
+    } catch {
+      if (signal.aborted) return;
+      for (const cell of [scans, rigs]) setText(cell, "not read"); // it is still a way to the subject
+    }
   }
 }
 

@@ -329,13 +329,13 @@ class Tray {
   async sendAll() {
     if (this.isSending) return;
     this.isSending = true;
-    while (this.waiting.length) {
-      const tell = () => tellUploads(this.waiting.reduce((sum, { left }) => sum + left, 0));
-      await this.waiting[0].run(tell);
-      this.waiting.shift();
+    const tell = () => tellUploads(this.waiting.reduce((sum, { left }) => sum + left, 0));
+    try {
+      while (this.waiting.length) await this.waiting[0].run(tell).finally(() => this.waiting.shift());
+    } finally {
+      this.isSending = false;
+      tellUploads(0);
     }
-    this.isSending = false;
-    tellUploads(0);
   }
 
   /** Ask for the checks of the rows until all have a verdict: one question a subject. */
