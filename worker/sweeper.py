@@ -85,11 +85,13 @@ class Heartbeat(threading.Thread):
 class Sweeper(Heartbeat):
     """Repairs as well, if it is the one elected; its host has the files, and the broker's address.
 
-    The first round sends everything queued again.
+    The first round sends everything queued again. What may take long, as the removal of many files,
+    is a thread of its own: leases of lost workers are taken back meanwhile.
     """
 
     _at_once = True
     _collected = 0.0
+    _cleaning: threading.Thread | None = None
 
     def _round(self) -> None:
         settings = self._settings
@@ -105,6 +107,14 @@ class Sweeper(Heartbeat):
             if elected or self._at_once:
                 sweep.resend(session, settings.resend_after, at_once=self._at_once)
         self._at_once = False
+        if self._cleaning is None or not self._cleaning.is_alive():
+            clean = partial(self._clean, elected)
+            self._cleaning = threading.Thread(target=clean, name="cleaning", daemon=True)
+            self._cleaning.start()
+
+    def _clean(self, elected: bool) -> None:
+        """Remove what nobody needs: of this host and, if ``elected``, of the service."""
+        settings = self._settings
         steps: list[Callable[[], object]] = [
             partial(remove_orphans, self._store, settings.work),
             partial(trim_all, settings),
