@@ -68,7 +68,7 @@ class SubjectView {
     this.showCaptures = keyed(this.captureBody, ({ capture }) => this.captureRow(capture));
     this.rigBody = h("tbody");
     this.showRigs = keyed(this.rigBody, (rig) => this.rigRow(rig));
-    this.model = h("p", { class: "grow" });
+    this.model = h("p");
     this.build = button("Build the model", () => this.order("build_model"));
     this.tracks = button("Build tracks", () =>
       this.order("build_tracks", { captures: this.chosenOf("expression") }),
@@ -104,7 +104,7 @@ class SubjectView {
         h("button", { type: "button", class: "danger", onclick: () => this.delete() }, "Delete subject"),
       ),
       panel("scans", "Scans", this.captureTable, this.noScans, this.next),
-      panel("model", "Model", h("div", { class: "row" }, this.model, this.estimates, this.build, this.tracks, this.fit, this.fitsOfModel)),
+      panel("model", "Model", h("div", { class: "stack" }, this.model, h("div", { class: "row" }, this.estimates, this.build, this.tracks, this.fit, this.fitsOfModel))),
       panel("rigs", "Rigs", this.rigTable, this.noRigs),
     ];
   }
