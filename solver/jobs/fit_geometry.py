@@ -28,7 +28,7 @@ from solver.rig.report.measures import check_neutral
 from solver.scans.known_activations import NOTHING
 
 # of rounds whose mean grows
-CLOSING = "muscles are brought within what muscles can do: the mean rises meanwhile"
+CLOSING = "muscles are brought within what muscles can do: the mean may rise meanwhile"
 
 
 def run(task: Task[FitGeometry]) -> list[Path]:
