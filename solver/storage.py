@@ -9,7 +9,8 @@ import os
 import re
 import shutil
 import struct
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -176,14 +177,9 @@ class Archive:
         """Write the file, ``packed`` or quickly, replacing it whole: no reader sees half of it."""
         path = Path(path)
         header = np.frombuffer(json.dumps(self.header).encode(), dtype=np.uint8)
-        unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
-            with unfinished.open("wb") as stream:
-                save = np.savez_compressed if packed else np.savez
-                save(stream, allow_pickle=False, header=header, **self.arrays)
-            unfinished.replace(path)
-        finally:
-            unfinished.unlink(missing_ok=True)
+        with _replacing(path) as unfinished, unfinished.open("wb") as stream:
+            save = np.savez_compressed if packed else np.savez
+            save(stream, allow_pickle=False, header=header, **self.arrays)
 
     @classmethod
     def read(
@@ -251,9 +247,16 @@ def natural_order(names: Collection[str]) -> list[str]:
 
 def copy_whole(source: Path, path: Path) -> None:
     """Copy a file to where no reader sees half of it."""
+    with _replacing(path) as unfinished:
+        shutil.copyfile(source, unfinished)
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """Give a file beside ``path`` that takes its place once it is written."""
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        shutil.copyfile(source, unfinished)
+        yield unfinished
         unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)

@@ -27,10 +27,10 @@ from myoface.client.live_frames import (
 from myoface.client.retry import Backoff, ClientOptions
 from myoface.client.sockets import (
     CLOSED,
-    AsyncLastWords,
     AsyncLock,
     AsyncSocket,
     address_of,
+    async_last_words,
     describe_proxy,
 )
 from myoface.errors import UNREACHABLE, ApiError
@@ -82,7 +82,7 @@ class AsyncLiveSessions(AsyncCaptures):
             await face.open(await self._open_socket(opened.url))
             yield face
         finally:
-            with AsyncLastWords(self._options.timeout_s):
+            with async_last_words(self._options.timeout_s):
                 await face.close()
                 await self.end_live(opened.id)
 

@@ -6,7 +6,7 @@ import json
 import ssl
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from types import ModuleType
 from typing import Any
 
@@ -107,30 +107,14 @@ AsyncLock = anyio.Lock
 Lock = threading.Lock
 
 
-class AsyncLastWords:
-    """Gives what is said at the end so many seconds, even in a task that was canceled."""
-
-    def __init__(self, seconds: float) -> None:
-        self._scope = anyio.move_on_after(seconds, shield=True)
-
-    def __enter__(self) -> None:
-        self._scope.__enter__()
-
-    def __exit__(self, *about: Any) -> bool | None:
-        return self._scope.__exit__(*about)
+def async_last_words(seconds: float) -> AbstractContextManager[object]:
+    """Give what is said at the end so many seconds, even in a task that was canceled."""
+    return anyio.move_on_after(seconds, shield=True)
 
 
-class LastWords:
-    """Is the same where calls block, which nothing cancels."""
-
-    def __init__(self, _seconds: float) -> None:
-        pass
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, *_about: object) -> None:
-        pass
+def last_words(_seconds: float) -> AbstractContextManager[object]:
+    """Do the same where calls block, which nothing cancels."""
+    return nullcontext()
 
 
 def _library(flavour: str) -> ModuleType:

@@ -24,7 +24,7 @@ from myoface.client.live_frames import (
     read_frame,
 )
 from myoface.client.retry import Backoff, ClientOptions
-from myoface.client.sockets import CLOSED, LastWords, Lock, Socket, address_of, describe_proxy
+from myoface.client.sockets import CLOSED, Lock, Socket, address_of, describe_proxy, last_words
 from myoface.client.sync_captures import Captures
 from myoface.errors import UNREACHABLE, ApiError
 from myoface.resources import Artifact, FromJob, Rig
@@ -75,7 +75,7 @@ class LiveSessions(Captures):
             face.open(self._open_socket(opened.url))
             yield face
         finally:
-            with LastWords(self._options.timeout_s):
+            with last_words(self._options.timeout_s):
                 face.close()
                 self.end_live(opened.id)
 

@@ -41,9 +41,8 @@ from service.live.tickets import Ticket, Tickets, address
 from service.queue.states import State
 from service.queue.wakeups import AWAY
 from service.records.audit import record
-from service.rigs.download import StoredArtifact, send
 from service.rigs.repository import artifact_of_job
-from service.rigs.routes import FILE, limit_by_key, note_read
+from service.rigs.routes import FILE, limit_by_key, send_artifact
 from service.schemas import Id, Page
 from service.store.models import Job
 from solver.kinds.live_session import VIEW_FILE
@@ -193,9 +192,7 @@ def view(
     They are there a moment after the session is ready: docs/reference/live.md has their format.
     """
     artifact = artifact_of_job(session, service.get(session, session_id).id, VIEW_FILE)
-    response = send(StoredArtifact.of(artifact, store), request)
-    note_read(response, request, reads, (who, "artifact.downloaded", artifact.id))
-    return response
+    return send_artifact(artifact, store, request, who, reads)
 
 
 @router.websocket("/{session_id}/frames")

@@ -140,7 +140,7 @@ def download_by_name(
     """
     rig = repository.get(session, rig_id)
     artifact = repository.artifact_of_rig(session, rig, name)
-    response = _send(artifact, store, request, who, reads)
+    response = send_artifact(artifact, store, request, who, reads)
     if name in FILES_OF_0_1 and any(each.name == repository.RIG_FILE for each in rig.artifacts):
         whole = f"/v1/rigs/{rig.id}/artifacts/{repository.RIG_FILE}"
         response.headers["Deprecation"] = FILES_DEPRECATED
@@ -173,7 +173,7 @@ def download_archive(
     with store.read() as session:
         archive = archive_of(session, repository.get(session, rig_id), store)
     response = send(archive, request)
-    note_read(response, request, reads, (who, "rig.downloaded", rig_id))
+    _note(response, request, reads, (who, "rig.downloaded", rig_id))
     return response
 
 
@@ -200,18 +200,19 @@ def download(
     """
     with store.read() as session:
         artifact = repository.artifact(session, artifact_id)
-    return _send(artifact, store, request, who, reads)
+    return send_artifact(artifact, store, request, who, reads)
 
 
-def _send(
+def send_artifact(
     artifact: Artifact, store: Store, request: Request, who: Principal, reads: ReadLog
 ) -> Response:
+    """Send a job's file, and note that it was read."""
     response = send(StoredArtifact.of(artifact, store), request)
-    note_read(response, request, reads, (who, "artifact.downloaded", artifact.id))
+    _note(response, request, reads, (who, "artifact.downloaded", artifact.id))
     return response
 
 
-def note_read(
+def _note(
     response: Response, request: Request, reads: ReadLog, read: tuple[Principal, str, str]
 ) -> None:
     """Note a read, unless nothing was sent that the caller had not."""

@@ -49,6 +49,14 @@ class RawScan:
     suffix_format: str  # that the suffix says
     empty_groups: tuple[str, ...] = ()  # names of groups, objects or parts without a face
 
+    def part(self, kept: Ints, faces: Ints) -> RawScan:
+        """Return the vertices ``kept``, with ``faces`` of their new numbers."""
+        normals, colours = (
+            None if values is None else values[kept] for values in (self.normals, self.colours)
+        )
+        vertices = self.vertices[kept]
+        return replace(self, vertices=vertices, faces=faces, normals=normals, colours=colours)
+
 
 def read_raw(path: Path) -> RawScan:
     """Read a raw scan: OBJ, PLY, STL, GLB or a point cloud as text.
@@ -186,13 +194,9 @@ def mend(scan: RawScan) -> tuple[RawScan, Mending]:
         )
         kept = kept[used]
         faces = (np.cumsum(used) - 1)[faces]
-    normals, colours = (
-        None if values is None else values[kept] for values in (scan.normals, scan.colours)
-    )
-    if normals is not None and not _are_known(normals):
-        normals = None
-    vertices = scan.vertices[kept]
-    mended = replace(scan, vertices=vertices, faces=faces, normals=normals, colours=colours)
+    mended = scan.part(kept, faces)
+    if mended.normals is not None and not _are_known(mended.normals):
+        mended = replace(mended, normals=None)
     return mended, counts
 
 

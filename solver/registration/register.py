@@ -79,11 +79,7 @@ def near_head(
     is_near = ((points > low) & (points < high)).all(axis=1)
     faces = raw.faces[is_near[raw.faces].all(axis=1)]
     numbers = np.cumsum(is_near) - 1
-    normals, colours = (
-        None if values is None else values[is_near] for values in (raw.normals, raw.colours)
-    )
-    vertices = raw.vertices[is_near]
-    return replace(raw, vertices=vertices, faces=numbers[faces], normals=normals, colours=colours)
+    return raw.part(np.flatnonzero(is_near), numbers[faces])
 
 
 AROUND_HEAD_MM = 40.0  # what is looked at around the template's skin

@@ -112,8 +112,9 @@ def read_live_link(path: Path) -> FaceTake:
     by_bone = np.array(angles).reshape(len(times), -1, 3).swapaxes(0, 1)
     turns = dict(zip(turning, by_bone, strict=True))
     head, *eyes = (_rotations(turns.get(bone), len(times)) for bone in ANGLES)
-    ticks = _ticks_of(np.array(times))
-    since = _in_ticks(np.array(times), ticks)
+    clocked = np.array(times)
+    ticks = _ticks_of(clocked)
+    since = _in_ticks(clocked, ticks)
     since -= since[0]
     notices = () if ticks == TICKS else (_tell_ticks(path.name, ticks),)
     turned = np.stack(eyes, axis=1)

@@ -69,9 +69,13 @@ function noAnswer(why) {
 }
 
 /** Read the body of an answer, by default as JSON; one that breaks off is a problem like no answer. */
-export async function contentOf(response, signal = undefined, kind = "json") {
+export function contentOf(response, signal = undefined, kind = "json") {
+  return received(() => response[kind](), signal);
+}
+
+async function received(read, signal) {
   try {
-    return await response[kind]();
+    return await read();
   } catch (error) {
     if (signal?.aborted) throw signal.reason;
     throw noAnswer(error.name === "SyntaxError" ? "answered with something else" : "broke off its answer");
@@ -140,17 +144,14 @@ export async function bytes(path, { signal, progress } = {}) {
   // what arrives is counted unpacked; a packed answer tells only its packed length
   const total = response.headers.has("Content-Encoding") ? 0 : Number(response.headers.get("Content-Length"));
   const parts = [];
-  let received = 0;
-  try {
+  let count = 0;
+  await received(async () => {
     for await (const part of chunks(response.body)) {
       parts.push(part);
-      received += part.length;
-      progress(received, total);
+      count += part.length;
+      progress(count, total);
     }
-  } catch {
-    if (signal?.aborted) throw signal.reason;
-    throw noAnswer("broke off its answer");
-  }
+  }, signal);
   return new Blob(parts).arrayBuffer();
 }
 
