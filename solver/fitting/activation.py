@@ -8,8 +8,10 @@ settled. The model of f at a state is
 
 The gradient g takes one adjoint solve, a product with J^T C J two, and the matrix itself as many as
 p has entries. So a matrix K from a state nearby, or from the same face fitted to other data, stands
-in for it: it gives a direction, an exact product says how far to go in it, and a BFGS update keeps
-in K what the product showed. The part of f's Hessian that the model leaves out, as flesh resists
+in for it: it gives a direction within the bounds, an exact product says how far to go in it, and a
+BFGS update keeps in K what the product showed. Conjugate gradients that K preconditions follow, on
+the face of the bounds that hold this direction (More and Toraldo 1991), until one of them meets
+another bound. The part of f's Hessian that the model leaves out, as flesh resists
 more the further it goes, is learnt from the gradients (:class:`~.least_squares.SecondOrder`).
 """
 
@@ -85,6 +87,8 @@ class DescentOptions:
     restarts: int = 3  # descents, each from the settled end of the one before
     buckled: float = 1.005  # growth of f beyond which a state that settles was not near its rest
     products: int = 16  # with J^T C J for a step, at most
+    # of a direction on a face of the bounds, the first of which that ends inside
+    parts: tuple[float, ...] = (1.0, 0.8, 0.6, 0.4, 0.2)
     # length of the correction that a step is left without, relative to it in the model's own norm
     accuracy: float = 0.1
     steps: FeasibleStepOptions = field(default_factory=FeasibleStepOptions)  # within bounds
@@ -256,10 +260,12 @@ class LearntMatrix:
             return self
         expected = self.root @ along
         towards = seen / np.sqrt(true * guessed) - expected / guessed
-        matrix = self.matrix - np.outer(expected, expected) / guessed
-        return LearntMatrix(
-            matrix + np.outer(seen, seen) / true, self.root + np.outer(towards, along)
-        )
+        known = np.stack([expected / -guessed, seen / true], axis=1)
+        matrix = known @ np.stack([expected, seen])
+        matrix += self.matrix
+        root = np.outer(towards, along)
+        root += self.root
+        return LearntMatrix(matrix, root)
 
 
 class GaussNewton:
@@ -295,35 +301,61 @@ class GaussNewton:
     def step(self, damping: float, trust: float) -> LeastSquaresStep:
         """See :meth:`DenseModel.step`."""
         units = damping * self._layout.damping
-        known = self._known + np.diag(units)
-        bounds = self._layout.bounds
-        step = np.zeros_like(self.gradient)
-        curved = np.zeros_like(self.gradient)
-        for _ in range(self._options.products):
-            gradient = self.gradient + curved
-            at = self.learnt.matrix + known, gradient, self._q + step
-            direction = self._layout.steps(*at, options=self._options.steps).best(gradient)
-            square = -float(direction @ gradient)
-            if square <= self._options.accuracy**2 * step @ curved:
-                break
-            seen = self._sensitivity.product(self._curvature, direction)
-            self.learnt = self.learnt.update(direction, seen)
-            image = seen + known @ direction
-            length = square / float(direction @ image)
-            if not bounds.is_free:
-                length = min(length, 1.0)
-            step = step + length * direction
-            curved = curved + length * image
+        step, curved = self._minimise(self._known + np.diag(units))
         fraction = self._layout.part_within(trust, step)
         part = fraction * step
         curved = fraction * (curved - units * step)
-        step = bounds.keep(self._q, part)
+        step = self._layout.bounds.keep(self._q, part)
         curved += (self.learnt.matrix + self._known) @ (step - part)
         slope = float(self.gradient @ step)
         quadratic = float(step @ curved)
         response = self._sensitivity.response.free_motion(self._sensitivity.pose, step)
         reach = self._layout.reach(step)
         return LeastSquaresStep(step, slope, quadratic, reach, response, curved)
+
+    def _minimise(self, known: Floats) -> tuple[Floats, Floats]:
+        """Return about the best step s (size,) within the bounds, and (J^T C J + R) s.
+
+        ``known`` R (size, size) is the part of the Hessian that takes no products.
+        """
+        step = np.zeros_like(self.gradient)
+        curved = np.zeros_like(self.gradient)
+        left = self._options.products
+        while left:
+            gradient = self.gradient + curved
+            at = self.learnt.matrix + known, gradient, self._q + step
+            model = self._layout.steps(*at, options=self._options.steps)
+            direction = model.best(gradient)
+            # the end of the first is where the bounds are met
+            longest = np.inf if self._layout.bounds.is_free else 1.0
+            part = 1.0
+            while left and part == 1.0:
+                square = -float(direction @ gradient)
+                if square <= self._options.accuracy**2 * step @ curved:
+                    return step, curved
+                left -= 1
+                seen = self._sensitivity.product(self._curvature, direction)
+                self.learnt = self.learnt.update(direction, seen)
+                image = seen + known @ direction
+                curvature = float(direction @ image)
+                length = min(square / curvature, longest)
+                part = self._part_inside(step, length * direction)
+                step = step + part * length * direction
+                curved = curved + part * length * image
+                gradient = self.gradient + curved
+                ahead = -model.following()(gradient)
+                if longest == np.inf:
+                    ahead -= float(ahead @ image) / curvature * direction
+                direction = ahead
+                longest = np.inf
+        return step, curved
+
+    def _part_inside(self, step: Floats, further: Floats) -> float:
+        """Return how much of a change (size,) beyond a ``step`` keeps within the muscles' set."""
+        parts = self._options.parts
+        at = self._q + step
+        inside = (part for part in parts if self._layout.bounds.contains(at + part * further))
+        return next(inside, parts[-1])
 
 
 def curvature(face: Face, data: Term, state: PosedFace) -> Floats:

@@ -31,8 +31,8 @@ class FeasibleSet(Protocol):
     def margins(self, a: Floats) -> Floats:
         """Return how far ``a`` is inside every bound, (m, bounds): above 0 if it is."""
 
-    def slopes(self, a: Floats) -> Floats:
-        """Return the derivatives (m, bounds, k) of these margins by each muscle's own values."""
+    def linearise(self, a: Floats) -> tuple[Floats, Floats]:
+        """Return the margins, and their derivatives (m, bounds, k) by each muscle's own values."""
 
     def nearest(self, a: Floats, kept: float) -> Floats:
         """Return values (m, k) near ``a`` that keep a part of the margins at rest."""

@@ -16,9 +16,9 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 import scipy.linalg
-from scipy.optimize import lsq_linear
 
 from solver.errors import SolveError
+from solver.mechanics.bounded import solve_bounded
 from solver.surface import Floats, Ints
 
 Point = TypeVar("Point")  # where a fit is: its variables and what follows from them
@@ -130,9 +130,9 @@ class LinearModel(Protocol):
 def bounded_step(hessian: Floats, gradient: Floats, limits: tuple[Floats, Floats]) -> Floats:
     """Return the s that minimises g . s + s . H s / 2 within ``limits``, which it keeps exactly.
 
-    Few of many entries meet their limits as a rule. Those that do are found by bounded least
-    squares (Stark and Parker 1995) on H's Schur complement, as the others follow; what these break
-    of their own limits joins. Raises :class:`SolveError` (``solve.not_finite``) where H is not
+    Few of many entries meet their limits as a rule. Those that do are found on H's Schur complement
+    (:mod:`solver.mechanics.bounded`), as the others follow; what these break of their own limits
+    joins. Raises :class:`SolveError` (``solve.not_finite``) where H is not
     positive definite.
     """
     lower, upper = limits
@@ -172,9 +172,12 @@ def _meet_limits(
     # the Schur complement is the inverse of R^T R
     triangle = np.linalg.qr(columns, mode="r")
     scaled = scipy.linalg.solve_triangular(triangle, np.eye(len(meeting)), trans="T")
-    right = scaled @ free[meeting]
-    kept = lsq_linear(scaled, right, limits, method="bvls").x
-    pull = columns @ (scaled.T @ (scaled @ kept - right))
+    complement = scaled.T @ scaled
+    kept = np.zeros(len(meeting))
+    side = np.zeros(len(meeting), np.int8)  # none is at a limit, as a guess
+    if not solve_bounded(complement, complement @ free[meeting], *limits, side, kept):
+        raise SolveError("solve.not_finite", "no Gauss-Newton step: it is not finite")
+    pull = columns @ (complement @ (kept - free[meeting]))
     found = free + scipy.linalg.solve_triangular(root, pull, lower=True, trans="T")
     found[meeting] = kept
     return np.asarray(found)

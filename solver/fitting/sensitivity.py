@@ -41,7 +41,7 @@ class Jacobian:
     flesh: NDArray[np.floating]  # (size, k)
     held: sp.csr_array  # (3 p, k)
     free: Ints  # (size,) places of the free coordinates among all
-    # rows of flesh that were asked for first: a few dozen markers ask for the same in every step
+    # rows of flesh that were asked for first: data ask for the same in every step
     _few: list[tuple[Ints, NDArray[np.floating]]] = field(
         init=False, default_factory=list, compare=False
     )
@@ -49,6 +49,12 @@ class Jacobian:
     def in_single_precision(self) -> Jacobian:
         """Halve the time of reading it; what corrects the flesh takes up the rounding."""
         return replace(self, flesh=self.flesh.astype(np.float32))
+
+    def plus(self, change: NDArray[np.floating]) -> Jacobian:
+        """Return the derivatives with those of the free coordinates changed by (size, k)."""
+        other = replace(self, flesh=self.flesh + change)
+        other._few.extend((used, other.flesh[used]) for used, _ in self._few)
+        return other
 
     def flesh_motion(self, change: Floats) -> Floats:
         """Return the free coordinates' motion (size,) for a ``change`` (k,) of q."""
@@ -61,7 +67,7 @@ class Jacobian:
         held = self.held.T @ flat
         for used, rows in self._few:
             if np.count_nonzero(pull[used]) == np.count_nonzero(pull):
-                return np.asarray(rows.T @ pull[used] + held)
+                return np.asarray(rows.T @ pull[used].astype(rows.dtype) + held)
         return np.asarray(self.flesh.T @ pull.astype(self.flesh.dtype) + held)
 
     def motion(self, rows: sp.csr_array) -> Floats:
@@ -91,7 +97,10 @@ class Jacobian:
         touched = np.flatnonzero(np.diff(curvature.indptr))
         rows = self.held[touched].toarray()
         _, place, number = np.intersect1d(touched, self.free, return_indices=True)
-        rows[place] = self.flesh[number]
+        seen = self.flesh[number]
+        rows[place] = seen
+        if not self._few:
+            self._few.append((number, seen))
         inner = curvature[touched][:, touched]
         image = np.empty(rows.shape, order="F")
         out = np.empty((rows.shape[1], rows.shape[1]))

@@ -11,7 +11,7 @@ step is that one and H^-1 C^T l, with
 
     min_{l >= 0}  |V l|^2 / 2 - r . l
 
-a problem of non-negative least squares (Lawson and Hanson 1974, chapter 23). Linear bounds that the
+a problem of non-negative least squares (:mod:`solver.mechanics.bounded`). Linear bounds that the
 result breaks join C, and where it breaks none of these but bounds themselves, which bend, they are
 cut off by their tangents at the result (Kelley 1960, "The cutting-plane method for solving convex
 programs"): but for the greatest volume all bounds are concave, so that a cut takes nothing away
@@ -27,12 +27,12 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 import scipy.linalg
-from scipy.optimize import nnls
 from typing_extensions import override
 
 from solver.errors import SolveError
 from solver.fitting.interior_point import Bounds, InteriorPointOptions, interior_step
 from solver.fitting.least_squares import Follow, bounded_step
+from solver.mechanics.bounded import solve_bounded
 from solver.surface import Floats, Ints
 
 
@@ -229,27 +229,31 @@ def linearised_step(
     free = -scipy.linalg.cho_solve((root, True), gradient, check_finite=False)
     if not np.isfinite(free).all():
         raise SolveError("solve.not_finite", "no Gauss-Newton step: it is not finite")
-    begin = q if bounds.contains(q) else bounds.clip(q)
-    entered = begin - q
-    gradient = gradient + hessian @ entered
+    begin = q
+    entered = np.zeros_like(q)
+    if not bounds.contains(q):
+        begin = bounds.clip(q)
+        entered = begin - q
+        gradient = gradient + hessian @ entered
     try:
         ahead = _cut_step(bounds, begin, root, free - entered, options)
-    except (np.linalg.LinAlgError, RuntimeError):  # too many bounds that depend on each other
+    except np.linalg.LinAlgError:  # too many bounds that depend on each other
         return None
     step, active, is_certain = ahead
-    promised = _gain(step, hessian, gradient)
+    promised = _gain(step, root, gradient)
     if promised <= 0.0:
         return LinearisedStep(entered, root, active, options.ridge) if is_certain else None
     least = options.worth * promised
     for part in options.parts:
         inside = bounds.clip(begin + part * step) - begin
-        if _gain(inside, hessian, gradient) >= least:
+        if _gain(inside, root, gradient) >= least:
             return LinearisedStep(entered + inside, root, active, options.ridge)
     return None
 
 
-def _gain(step: Floats, hessian: Floats, gradient: Floats) -> float:
-    return -float(step @ (gradient + 0.5 * hessian @ step))
+def _gain(step: Floats, root: Floats, gradient: Floats) -> float:
+    along = scipy.linalg.blas.dtrmv(root, step, lower=1, trans=1)
+    return -float(step @ gradient + 0.5 * along @ along)
 
 
 def _cut_step(
@@ -266,41 +270,72 @@ def _cut_step(
     kept = np.minimum(at_q, options.clearance * bounds.clipped * bounds.feasible.at_rest)
     tangent = _LinearBounds(bounds, q, kept)
     step = free
-    held = np.zeros(0, np.int64)  # numbers of tangent bounds that hold the step, -1 of cuts
-    columns = np.zeros((len(free), 0))
-    broken = np.zeros(0)
+    held = _HeldStep(root, free, options.ridge)
     for _ in range(options.rounds):
         linear, at = tangent, np.zeros_like(step)
         beyond = np.flatnonzero(tangent.margins(step) < -options.broken)
-        joining = np.setdiff1d(beyond, held)
+        joining = np.setdiff1d(beyond, held.numbers)
         numbers = joining
         if len(joining) == 0:
             linear, at = _LinearBounds(bounds, q + step, kept), step
             joining = np.flatnonzero(linear.at_q < -options.outside)
             numbers = np.full(len(joining), -1)
         if len(joining) == 0:
-            return step, columns, bool((held >= 0).all())
-        rows = linear.rows(joining)
-        new = _solve_triangular(root, rows.T)
-        columns = np.hstack([columns, new])
-        broken = np.append(broken, -linear.margins(free - at)[joining])
-        held = np.append(held, numbers)
-        multipliers = _multipliers(columns, broken, options.ridge)
-        pull = columns @ multipliers
-        step = free + _solve_triangular(root, pull, trans="T")
-        holds = multipliers > 0.0
-        columns, broken, held = columns[:, holds], broken[holds], held[holds]
-    return step, columns, False
+            return step, held.rows.T, bool((held.numbers >= 0).all())
+        step = held.join(numbers, linear.rows(joining), -linear.margins(free - at)[joining])
+    return step, held.rows.T, False
 
 
-def _multipliers(columns: Floats, broken: Floats, ridge: float) -> Floats:
-    """Return the l (k,) of columns V (size, k) and how far ``broken`` (k,) each bound is."""
-    root = _root_of_square(columns, ridge)
-    right = _solve_triangular(root, broken)
-    found = _solve_triangular(root, right, trans="T")
-    if (found < 0.0).any():
-        found, _ = nnls(root.T, right)
-    return np.asarray(found)
+class _HeldStep:
+    """The step that linear bounds hold: those that do, k of all that have joined.
+
+    Their ``numbers`` (k,) are those of tangent bounds, -1 of cuts; the ``rows`` V^T (k, size) have
+    the length 1. ``root`` is L, ``free`` (size,) the step without bounds.
+    """
+
+    def __init__(self, root: Floats, free: Floats, ridge: float) -> None:
+        self.numbers = np.zeros(0, np.int64)
+        self.rows = np.zeros((0, len(free)))
+        self._broken = np.zeros(0)
+        self._gram = np.zeros((0, 0))  # V^T V
+        self._root = root
+        self._free = free
+        self._ridge = ridge
+
+    def join(self, numbers: Ints, rows: Floats, broken: Floats) -> Floats:
+        """Return the step (size,) held by further bounds C (n, size), ``broken`` by the free one.
+
+        Those that do not hold it are forgotten. Raises ``LinAlgError`` where too many depend on
+        each other.
+        """
+        new = _solve_triangular(self._root, rows.T).T
+        length = np.sqrt(np.einsum("ki,ki->k", new, new))
+        new /= length[:, None]
+        across = self.rows @ new.T
+        self._gram = np.block([[self._gram, across], [across.T, new @ new.T]])
+        self.rows = np.vstack([self.rows, new])
+        self._broken = np.append(self._broken, broken / length)
+        self.numbers = np.append(self.numbers, numbers)
+        multipliers = self._multipliers()
+        step = self._free + _solve_triangular(self._root, multipliers @ self.rows, trans="T")
+        holds = np.flatnonzero(multipliers > 0.0)
+        self.rows = self.rows[holds]
+        self._broken = self._broken[holds]
+        self._gram = self._gram[np.ix_(holds, holds)]
+        self.numbers = self.numbers[holds]
+        return step
+
+    def _multipliers(self) -> Floats:
+        """Return the l (k,)."""
+        count = len(self.numbers)
+        matrix = self._gram + self._ridge * np.eye(count)
+        found = np.zeros(count)
+        side = np.zeros(count, np.int8)  # all hold, as a guess
+        limits = np.zeros(count), np.full(count, np.inf)
+        ended = solve_bounded(matrix, self._broken, *limits, side, found)
+        if not (ended and np.isfinite(found).all()):
+            raise np.linalg.LinAlgError("bounds depend on each other")
+        return found
 
 
 def _root_of_square(columns: Floats, ridge: float) -> Floats:
@@ -325,10 +360,8 @@ class _LinearBounds:
     def __init__(self, bounds: Bounds, q: Floats, kept: Floats) -> None:
         assert bounds.feasible is not None, "a box is kept by bounded least squares"
         self._bounds = bounds
-        a = q[bounds.muscles]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            self._slopes = bounds.feasible.slopes(a)
-        margins = bounds.feasible.margins(a) - kept
+        margins, self._slopes = bounds.feasible.linearise(q[bounds.muscles])
+        margins = margins - kept
         margins[~np.isfinite(margins)] = np.inf  # of volume, where a stretch is negative
         self.at_q = np.concatenate([margins.ravel(), bounds.room(q)])
 

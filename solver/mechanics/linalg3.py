@@ -82,6 +82,52 @@ def signed_svd(G: Floats, U: Floats, s: Floats, V: Floats) -> None:
     s[k] = U[0, k] * b0 + U[1, k] * b1 + U[2, k] * b2
 
 
+@nb.njit(cache=True, error_model="numpy")
+def symmetric_eigen(A: Floats, values: Floats, axes: Floats) -> None:
+    """Decompose a symmetric ``A`` (3, 3) into ``values`` (3,), the least first, and ``axes``.
+
+    These are a matrix's columns. A is overwritten. Jacobi rotations (Golub and Van Loan 2013,
+    section 8.5).
+    """
+    for i in range(3):
+        for j in range(3):
+            axes[i, j] = 1.0 if i == j else 0.0
+    # quadratic, too: four sweeps are usual
+    for _ in range(12):
+        off = abs(A[0, 1]) + abs(A[0, 2]) + abs(A[1, 2])
+        if not off > 1e-16 * (abs(A[0, 0]) + abs(A[1, 1]) + abs(A[2, 2])):
+            break
+        for p, q in ((0, 1), (0, 2), (1, 2)):
+            if A[p, q] == 0.0:
+                continue
+            zeta = (A[q, q] - A[p, p]) / (2.0 * A[p, q])
+            t = math.copysign(1.0, zeta) / (abs(zeta) + math.sqrt(1.0 + zeta * zeta))
+            c = 1.0 / math.sqrt(1.0 + t * t)
+            w = c * t
+            r = 3 - p - q
+            rp = c * A[r, p] - w * A[r, q]
+            rq = w * A[r, p] + c * A[r, q]
+            A[p, p] -= t * A[p, q]
+            A[q, q] += t * A[p, q]
+            A[p, q] = 0.0
+            A[q, p] = 0.0
+            A[r, p] = rp
+            A[p, r] = rp
+            A[r, q] = rq
+            A[q, r] = rq
+            for i in range(3):
+                vp = axes[i, p]
+                axes[i, p] = c * vp - w * axes[i, q]
+                axes[i, q] = w * vp + c * axes[i, q]
+    for i in range(3):
+        values[i] = A[i, i]
+    for p, q in ((0, 1), (1, 2), (0, 1)):
+        if values[p] > values[q]:
+            values[p], values[q] = values[q], values[p]
+            for i in range(3):
+                axes[i, p], axes[i, q] = axes[i, q], axes[i, p]
+
+
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
 Symmetric = tuple[float, float, float, float, float, float]
 

@@ -25,9 +25,9 @@ import numba as nb
 import numpy as np
 
 from solver.errors import SolveError
+from solver.mechanics.cholesky import solve_lower
 from solver.neck.anatomy import JOINTS, Neck
 from solver.neck.body import DOFS, Body
-from solver.neck.cholesky import solve_lower
 from solver.neck.hill import HillOptions, Muscles, all_parts
 from solver.neck.reflex import ReflexOptions, excite
 from solver.surface import Floats, Ints

@@ -29,8 +29,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from solver.errors import SolveError
+from solver.mechanics.bounded import solve_bounded
 from solver.neck.anatomy import JOINTS
-from solver.neck.bounded import solve_bounded
 from solver.neck.dynamics import Dynamics
 from solver.neck.posture import share_out
 from solver.surface import Floats

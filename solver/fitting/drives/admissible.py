@@ -29,12 +29,12 @@ from typing_extensions import override
 from solver.anatomy.physiology import SHORTEST, THICKEST
 from solver.errors import Finding, InputError, make_warning
 from solver.fitting.controls import Block
+from solver.fitting.drives.muscle_bounds import COUNT, bring_inside, margins_of
 from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.stretches import (
     COLUMN,
     FROBENIUS,
     ROW,
-    entries,
     fibre_tensors,
     matrices,
     metric,
@@ -123,40 +123,34 @@ class AdmissibleSet:
 
     def margins(self, a: Floats) -> Floats:
         """Return how far activations (m, 6) are inside every bound, (m, 9): above 0 if they are."""
-        return self._margins(a, np.asarray(np.linalg.eigvalsh(matrices(a))))
+        out = np.empty((len(a), COUNT))
+        margins_of(a, self._along, self._limits, out, np.empty((0, COUNT, 6)))
+        return out
 
     def contains(self, a: Floats) -> bool:
         """Tell whether activations (m, 6) are in the set, all of them."""
         return bool((self.margins(a) > 0.0).all())
 
-    def _margins(self, a: Floats, stretches: Floats) -> Floats:
+    @cached_property
+    def _limits(self) -> Floats:
         limits = self.limits
-        room = np.log(self.limits.volume)
-        positive = stretches[:, :1] > 0.0
-        logs = np.log(np.where(positive, stretches, 1.0)).sum(axis=1, keepdims=True)
-        size = np.where(positive, logs, -np.inf)
-        return np.hstack(
-            [
-                limits.fibre - self._fibres(a)[:, None],
-                stretches - limits.shortest,
-                limits.longest - stretches,
-                room + size,
-                room - size,
-            ]
-        )
+        volume = np.log(limits.volume)
+        return np.array([limits.fibre, limits.shortest, limits.longest, volume])
 
     @cached_property
     def at_rest(self) -> Floats:
         """The margins (m, 9) of muscles at rest."""
         return self.margins(np.tile(IDENTITY, (len(self.tensors), 1)))
 
-    def slopes(self, a: Floats) -> Floats:
-        """Return the derivatives (m, 9, 6) of the margins, where stretches are not the same."""
-        values, axes = np.linalg.eigh(matrices(a))
-        fibre = self._along[:, None]
-        stretches = FROBENIUS * entries(axes.transpose(0, 2, 1))
-        size = FROBENIUS * with_stretches(1.0 / values, np.asarray(axes))[:, None]
-        return np.concatenate([-fibre, stretches, -stretches, size, -size], axis=1)
+    def linearise(self, a: Floats) -> tuple[Floats, Floats]:
+        """Return the margins (m, 9) and their derivatives (m, 9, 6).
+
+        Where two stretches are the same their derivatives are those along any two axes of theirs.
+        """
+        margins = np.empty((len(a), COUNT))
+        slopes = np.empty((len(a), COUNT, 6))
+        margins_of(a, self._along, self._limits, margins, slopes)
+        return margins, slopes
 
     def _fibres(self, a: Floats) -> Floats:
         """Return T_j : S(a_j), (m,); 1 without fibres."""
@@ -176,38 +170,12 @@ class AdmissibleSet:
 
         ``kept`` is the least distance to every bound, by that at rest.
         """
+        options = self.options
+        found = np.array(a)
         least = kept * self.at_rest
-        found = a.copy()
-        beyond = np.flatnonzero((self.margins(found) < least).any(axis=1))
-        for _ in range(self.options.rounds):
-            if len(beyond) == 0:
-                return found
-            some = replace(self, tensors=self.tensors[beyond])
-            found[beyond] = some._project(found[beyond], self.options.further * least[beyond])
-            beyond = beyond[(some.margins(found[beyond]) < least[beyond]).any(axis=1)]
-        part = np.ones(len(a))
-        for _ in range(self.options.shrinks):
-            shrunk = IDENTITY + part[:, None] * (found - IDENTITY)
-            outside = (self.margins(shrunk) < least).any(axis=1)
-            if not outside.any():
-                break
-            part = np.where(outside, self.options.shrink * part, part)
-        return np.asarray(shrunk)
-
-    def _project(self, a: Floats, least: Floats) -> Floats:
-        """Return activations moved to ``least`` (m, 9) inside one bound after the other."""
-        limits = self.limits
-        room = np.log(self.limits.volume)
-        over = np.maximum(self._fibres(a) - (limits.fibre - least[:, 0]), 0.0)
-        square = (self._along**2 / FROBENIUS).sum(axis=1)
-        over = np.divide(over, square, out=np.zeros_like(over), where=square > 0.0)
-        values, axes = np.linalg.eigh(matrices(a - over[:, None] * self._along / FROBENIUS))
-        low = limits.shortest + least[:, 1:4]
-        high = limits.longest - least[:, 4:7]
-        logs = np.log(np.clip(values, low, high))
-        size = logs.sum(axis=1)
-        logs -= (size - np.clip(size, least[:, 7] - room, room - least[:, 8]))[:, None] / 3.0
-        return with_stretches(np.exp(logs), np.asarray(axes))
+        effort = options.further, options.rounds, options.shrink, options.shrinks
+        bring_inside(found, self._along, self._limits, least, *effort)
+        return found
 
     def value(self, a: Floats) -> float:
         """Return the barrier of activations (m, 6), infinite on a bound and beyond."""
@@ -227,19 +195,20 @@ class AdmissibleSet:
 
     def gradient(self, a: Floats) -> Floats:
         """Return the barrier's derivative (m, 6)."""
+        limits = self.limits
         values, axes = np.linalg.eigh(matrices(a))
-        margins = self._margins(a, np.asarray(values))
+        margins = self.margins(a)
         by_fibre, by_stretch = self._slopes_at_rest
         pull = 1.0 / margins[:, 0] - by_fibre
         by_size = 1.0 / margins[:, 8] - 1.0 / margins[:, 7]
-        slopes = 1.0 / margins[:, 4:7] - 1.0 / margins[:, 1:4] - by_stretch
+        slopes = 1.0 / (limits.longest - values) - 1.0 / (values - limits.shortest) - by_stretch
         slopes += by_size[:, None] / values
         return np.asarray(FROBENIUS * with_stretches(slopes, axes) + pull[:, None] * self._along)
 
     def hessian(self, a: Floats) -> Floats:
         """Return the barrier's second derivative (m, 6, 6), its indefinite part left out."""
         values, axes = np.linalg.eigh(matrices(a))
-        margins = self._margins(a, np.asarray(values))
+        margins = self.margins(a)
         limits = self.limits
         by_size = FROBENIUS * with_stretches(1.0 / values, axes)
         bound = (margins[:, 7] ** -2 + margins[:, 8] ** -2)[:, None, None]

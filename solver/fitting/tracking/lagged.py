@@ -15,7 +15,7 @@ J is large and lies in single precision: updates are kept beside it, and added w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -85,13 +85,12 @@ class LaggedModel:
         if not options.least**2 * size < square < options.wild**2 * size:
             return
         along = ahead / size
-        half = np.outer(self.adjoint(pull) + 0.5 * square * along, along)
-        self.hessian += half
-        self.hessian += half.T
+        ways = np.stack([self.adjoint(pull) + 0.5 * square * along, along])
+        self.hessian += ways.T @ ways[::-1]
         self._left.append(left)
         self._along.append(along)
         if len(self._left) == options.most:
             added = np.array(self._left, np.float32).T @ np.array(self._along, np.float32)
-            self.jacobian = replace(self.jacobian, flesh=self.jacobian.flesh + added)
+            self.jacobian = self.jacobian.plus(added)
             self._left.clear()
             self._along.clear()

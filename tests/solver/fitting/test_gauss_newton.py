@@ -12,6 +12,7 @@ from solver.fitting.activation import (
     GaussNewton,
     LearntMatrix,
 )
+from solver.fitting.drives.admissible import Admissible, AdmissibleLimits
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
@@ -115,3 +116,21 @@ def test_a_model_that_is_not_finite_has_no_step(problem):
     ):
         with pytest.raises(SolveError):
             dense(pose, hessian, gradient)
+
+
+def test_step_within_bounds_is_the_best_of_the_exact_matrix():
+    """From a matrix that leads elsewhere: what holds the step at its bounds is found on the way."""
+    face = Face(block_model()).driven_by(Admissible(AdmissibleLimits(volume=1.02)))
+    start = face.rest
+    goal = face.continuation(face.rest, poses(2)[1])
+    data = SkinDistance(face, Target.from_points(face.face_points(goal.x)))
+    regulariser = Regulariser(1e-4, 1e-3, 1e-6, face.rest_pose())
+    hessian, gradient, step = exact(face, data, regulariser, start)
+    free = np.linalg.solve(hessian, -gradient)
+    assert not face.layout.bounds.contains(start.pose.vector() + free)
+    learnt = LearntMatrix.of(activation.curvature(face, data, start) + 0.3 * np.eye(len(step)))
+    model = GaussNewton(face, data, regulariser, start, learnt, DescentOptions(accuracy=1e-3))
+    found = model.step(DAMPING, np.inf).change
+    assert face.layout.bounds.contains(start.pose.vector() + found)
+    best, gain = (-(gradient @ s + 0.5 * s @ hessian @ s) for s in (step, found))
+    assert gain > 0.98 * best > 0.0

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import lsq_linear
 
-from solver.neck.bounded import solve_bounded
 from solver.neck.builtin import builtin_neck
 from solver.neck.hill import LAWS, HillOptions, Muscles
 
@@ -46,25 +44,3 @@ def test_both_laws_have_the_same_shape(law):
     stretched = muscles.parts(REST + 0.6 * FIBRES, still)[:, 3]
     np.testing.assert_allclose(stretched, strengths, rtol=0.25)  # the passive pull
     assert (at_rest[:, 3] < 0.01 * strengths).all()
-
-
-def test_the_bounded_answer_is_the_best_whatever_the_guess():
-    random = np.random.default_rng(1)
-    most = 0
-    for _ in range(40):
-        left = random.standard_normal((27, 72)) * random.uniform(0.1, 30.0, 72)
-        right = 30.0 * random.standard_normal(27)
-        low = random.uniform(0.0, 0.1, 72)
-        high = low + random.uniform(0.0, 0.9, 72)
-        H = left.T @ left + np.eye(72)
-        g = left.T @ right
-        x = np.empty(72)
-        side = random.integers(0, 3, 72).astype(np.int8)
-        assert solve_bounded(H, g, low, high, side, x) > 0
-        both = np.vstack([left, np.eye(72)]), np.concatenate([right, np.zeros(72)])
-        theirs = lsq_linear(*both, (low, high), method="bvls", tol=1e-15).x
-        np.testing.assert_allclose(x, theirs, atol=1e-6)
-        again = x.copy()
-        most = max(most, solve_bounded(H, g, low, high, side, again))
-        np.testing.assert_array_equal(again, x)
-    assert most == 1  # the last answer's guess is right at once

@@ -1,4 +1,4 @@
-"""Small systems by Cholesky's factors, within the compiled loops of a neck."""
+"""Small systems by Cholesky's factors, within compiled loops."""
 
 from __future__ import annotations
 

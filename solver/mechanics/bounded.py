@@ -11,7 +11,7 @@ from __future__ import annotations
 import numba as nb
 import numpy as np
 
-from solver.neck.cholesky import solve_lower
+from solver.mechanics.cholesky import solve_lower
 from solver.surface import Floats
 
 # The side that an x is on
