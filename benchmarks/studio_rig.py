@@ -51,6 +51,7 @@ from solver.animation.blendshapes import (
     solve_blendshapes,
 )
 from solver.animation.controls import Controls
+from solver.animation.lids import SIDES, Lids
 from solver.cache import cache_directory
 from solver.jobs.build_studio_rig import LEVELS, tell_level
 from solver.jobs.scenes import play, skin_of
@@ -58,7 +59,6 @@ from solver.kinds.scene import SimulateScene
 from solver.mechanics.linear import fastest
 from solver.rig.studio.glb import compare_glb, write_glb
 from solver.rig.studio.levels import simplify
-from solver.rig.studio.lids import SIDES, Lids
 from solver.rig.studio.light_rig import DrivenBy, LightRig
 from solver.rig.studio.shapes import FleshShapes, StudioShapes, solve_studio_shapes
 from solver.scans.live_link import ARKIT_NAMES, read_live_link

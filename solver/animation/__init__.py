@@ -390,6 +390,10 @@ class RecordedDrives(Drives):
         self._neck = neck(model)
         self._head = head_motion(head, self._neck)
 
+    def weights_at(self, time: float) -> Floats:
+        """Return the weights (e,) of the shapes at ``time`` in s."""
+        return self._track(time)[:-9]
+
     @override
     def __call__(self, time: float) -> PosedFrame:
         weights, head, eyes = np.split(self._track(time), [-9, -6])

@@ -224,7 +224,9 @@ def step(problem: GeometryProblem, now: Iterate, options: JointOptions = JointOp
             # a step that had to be halved says how much too far the linear model reached
             increased = rule.increase(now.damping, halving)
             states = {name: trial.state for name, trial in trials.items() if trial.state}
-            return Iterate(values, states, rule.adapt(increased, gain / predicted), damping)
+            # at the minimum rounding gains where nothing is promised
+            ratio = gain / predicted if predicted else 0.0
+            return Iterate(values, states, rule.adapt(increased, ratio), damping)
     # near buckling the value at an estimate may flatter: settle those that lose, where possible
     states = dict(now.states)
     for name, state in now.states.items():

@@ -13,22 +13,14 @@ from solver.animation import FrameChanges, RecordedDrives
 from solver.animation.blendshapes import Blendshapes, DrivenShapes, driven_motions
 from solver.animation.controls import Controls
 from solver.animation.controls.exact import ShapesAtRest, fit_frames
+from solver.animation.lids import Lids, PlayedLids
 from solver.animation.tracks import TrackedShapes
 from solver.errors import InputError
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, read_template
 from solver.jobs.blendshapes import SOLVED, left_files, person_blendshapes, tell_blendshapes
 from solver.jobs.live_off import LiveOff
-from solver.jobs.scenes import (
-    CARRIED,
-    EXPORT,
-    READ,
-    fingerprint,
-    finish,
-    play,
-    read_player,
-    skin_of,
-)
+from solver.jobs.scenes import CARRIED, EXPORT, READ, fingerprint, finish, play, read_player
 from solver.kinds.animate import Animate
 from solver.mechanics.linear import fastest
 from solver.neck.body import import_mujoco
@@ -79,7 +71,10 @@ def run(task: Task[Animate]) -> list[Path]:
     if recorded.timecodes:
         more["timecode"] = recorded.timecodes[recording.start]
     frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
-    more |= live.report((frame.frame, skin_of(stage, frame)) for frame in frames)
+    more |= live.report(
+        (each.frame, stage.skin_of_flesh(stage.model.rest + each.moved, each.jaw, each.time))
+        for each in frames
+    )
     shown = recorded.seen[recording.start : recording.end]
     arrays = {"weights": drives.weights, "seen": shown, **played.arrays}
     written = finish(
@@ -114,6 +109,7 @@ def _set_stage(
             given.linear_solver,
             firmer=firmer,
             tracks=tracks,
+            lids=_lids_of(task, rig, drives),
             progress=part_of(playing, 0.0, CARRIED),
         )
         return stage, drives, playing
@@ -149,6 +145,19 @@ def _set_stage(
     weights = drives_of(shapes).weights
     drives = drives_of(shapes, _fit_frames(task, rig, shapes, weights, played))
     return stage_of(drives, SOLVED)
+
+
+def _lids_of(task: Task[Animate], rig: Rig, drives: RecordedDrives) -> PlayedLids | None:
+    """Return what leads the lids, if the scene asks for it and the template's shapes fit."""
+    lids = Lids.of(rig.model)
+    if not (lids and task.options.scene.lids):
+        return None
+    basis = read_template(task).shapes
+    if basis is not None and basis.expressions.shape[1] == len(rig.model.skin.vertices):
+        return PlayedLids(lids, basis, drives)
+    message = "lids stay where muscles leave them: the template has no shapes of this skin"
+    task.progress(Step("warning", READ, message=message))
+    return None
 
 
 def _detecting(task: Task[Animate]) -> Callable[[int], None]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.template import Template
+from solver.animation.lids import Lids
 from solver.drawing.head import DrawnHead, face_camera
 from solver.drawing.sheet import Column, SheetLayout, draw_sheet
 from solver.errors import InputError
@@ -22,7 +23,6 @@ from solver.registration.texture import texture_coordinates
 from solver.rig import Rig
 from solver.rig.studio.glb import compare_glb, worn_images, write_glb
 from solver.rig.studio.levels import carry_texture, distance_mm, simplify
-from solver.rig.studio.lids import Lids
 from solver.rig.studio.light_rig import LightRig
 from solver.rig.studio.parts import parts_of
 from solver.rig.studio.shapes import FleshShapes, StudioShapes, shape_names, solve_studio_shapes

@@ -388,6 +388,11 @@ class AnimateScene(PlayedScene):
         description="doubt of learned controls, mm on the skin, above which a frame is fitted "
         "exactly",
     )
+    lids: bool = Field(
+        default=True,
+        description="lids go where the recorded shapes of an eye take them, as muscles leave a "
+        "gap; false: where the flesh has them",
+    )
 
 
 class EditScene(FleshEntry):

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.animation import Drives, Gaze, PosedFrame
+from solver.animation.lids import PlayedLids
 from solver.contact import Gauge, Penetration, contact_potentials
 from solver.edits import AnatomyChange, Edited, apply
 from solver.edits.changes import Bone, Fat, Filler, Paralysis, Scaling, under_skin
@@ -178,7 +179,8 @@ class Stage:
 
     That are ``fibres`` or ``tracks``, whose muscles have the model's shares of the tets. ``drives``
     say what the face does; ``linear`` names the linear solver; ``objects`` are what the face meets,
-    ``muscles`` what moves it; contact is ``firmer`` by a factor; ``progress`` is that of a neck.
+    ``muscles`` what moves it; contact is ``firmer`` by a factor; ``lids`` lead those of the skin;
+    ``progress`` is that of a neck.
     Raises :class:`~solver.errors.InputError` (``scene.*``, ``force.point``, ``contact.crossed``)
     for what the person does not have or cannot be.
     """
@@ -193,6 +195,7 @@ class Stage:
         fibres: FibreMuscles | None = None,
         firmer: float = 1.0,
         tracks: MuscleTracks | None = None,
+        lids: PlayedLids | None = None,
         progress: ProgressCallback = silent,
     ) -> None:
         check_length(len(drives.times))
@@ -242,6 +245,7 @@ class Stage:
             pull=None if self.neck is None else self.neck.pull,
         )
         self._gaze = Gaze(self.model)
+        self._lids = lids
         self.gauge = Gauge(self.model, self._edited.unedited, potentials)
 
     def drive(self, time: float, pose: PosedFrame) -> Drive:
@@ -257,8 +261,15 @@ class Stage:
 
     def skin(self, y: Floats, jaw: Floats, eyes: Floats, time: float) -> Floats:
         """Return the whole skin (V, 3) of flesh y (p, 3) at ``time``, both in the head's frame."""
+        skin = self.skin_of_flesh(y, jaw, time)
+        if self._lids is not None:
+            skin = self._lids.lead(skin, self.model.skin.vertices, time)
+        return self._gaze.turn(skin, eyes)
+
+    def skin_of_flesh(self, y: Floats, jaw: Floats, time: float) -> Floats:
+        """Return :meth:`skin` as flesh alone has it: eyes at rest, and lids not led."""
         hung = None if self.neck is None else self.neck.hung(time)
-        return self._gaze.turn(self._face.whole_skin(y, jaw, hung), eyes)
+        return self._face.whole_skin(y, jaw, hung)
 
     def penetration(self, y: Floats, drive: Drive) -> Penetration:
         """Return how deep flesh y (p, 3), in the head's frame, is in what it meets."""

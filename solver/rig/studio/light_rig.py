@@ -16,8 +16,8 @@ from typing import Literal
 import numpy as np
 
 from solver.anatomy.template import CORRECTED
+from solver.animation.lids import Lids
 from solver.model import SubjectModel
-from solver.rig.studio.lids import Lids
 from solver.rig.studio.shapes import StudioShapes
 from solver.rig.studio.skeleton import Skeleton
 from solver.surface import Floats, Surface, vertex_normals

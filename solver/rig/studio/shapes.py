@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from solver.anatomy.template import CORRECTED, ShapeBasis
 from solver.animation import Gaze, PosedFrame, RecordedDrives
 from solver.animation.blendshapes import SHORT, DrivenShapes, ShapedPose, driven_motions, solved_at
+from solver.animation.lids import Lids
 from solver.errors import SolveError
 from solver.fitting import activation
 from solver.fitting.activation import UNSEEN_STOP
@@ -31,7 +32,6 @@ from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.rig.rig import Rig
-from solver.rig.studio.lids import Lids
 from solver.scans.live_link import ARKIT_NAMES, FaceTake
 from solver.scene import Stage
 from solver.scene.places import Places

@@ -10,7 +10,7 @@ from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.per_tet import PerTetOptions, tissue
 from solver.fitting.reference.geometry import FullGeometry
-from solver.fitting.simplex import replace_values
+from solver.fitting.simplex import project, replace_values
 from tests.solver.block import block_model
 from tests.solver.fitting.test_per_tet import contracted, face_with_fibres, target_of
 
@@ -98,6 +98,9 @@ def test_the_hessian_is_exact_where_the_residual_vanishes(face):
 def test_joint_gauss_newton_reaches_the_multi_target_minimum(face):
     """Both minimise the same, to the same weights: one prior of the activations and of S."""
     S = smeared(face)
+    # muscles that are wholly alike stay so until rounding parts them, one way or another
+    uneven = S.data + 0.1 * np.random.default_rng(5).standard_normal(S.nnz)
+    S = replace_values(S, project(uneven, S.indptr))
     data = two_targets(face)
     problem = multi_target(face.with_weights(S), data, 0.5, 1e-2, 1e-2)
     rest = face.rest

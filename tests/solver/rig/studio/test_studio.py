@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from solver.anatomy.texture_coordinates import NOWHERE, TextureCoordinates
 from solver.animation.blendshapes import Blendshapes
+from solver.animation.lids import Lids
 from solver.contact.obstacles import Eyeball
 from solver.drawing.head import skin_parts
 from solver.errors import InputError, SolveError
@@ -26,7 +27,6 @@ from solver.rig import Rig
 from solver.rig.frames.read_back import accessor_values, split_glb
 from solver.rig.studio.glb import compare_glb, write_glb
 from solver.rig.studio.levels import carry_texture, distance_mm, simplify
-from solver.rig.studio.lids import Lids
 from solver.rig.studio.light_rig import LightRig
 from solver.rig.studio.parts import TEXTURED, parts_of
 from solver.rig.studio.shapes import FleshShapes, Made, MadeBy, StudioShapes, nearest

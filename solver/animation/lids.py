@@ -1,13 +1,15 @@
-"""Lids of a light rig: shut where muscles leave a gap, and led over the eyeball on their way."""
+"""Lids that shut where muscles leave a gap, and go over the eyeball on their way."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from solver.anatomy.template import ShapeBasis
+from solver.animation import RecordedDrives
 from solver.contact.obstacles import Eyeball
 from solver.contact.one_sided import free_depths
 from solver.model import SubjectModel
@@ -69,13 +71,13 @@ class Lids:
         """Return how far (k,) the lids of a skin (V, 3) are in the eyeball beyond what is free."""
         return np.asarray(self.eyeball.depths(skin[self.vertices])[0] - self.free)
 
-    def finish(self, skin: Floats, wanted: Floats) -> Floats:
+    def finish(self, skin: Floats, wanted: Floats, amount: float = 1.0) -> Floats:
         """Return a skin (V, 3) with the lids of the template's shape, ``wanted``, off the eyeball.
 
-        It is the flesh's beyond ``fade_mm``.
+        It is the flesh's beyond ``fade_mm``. An ``amount`` below 1 goes that part of the way.
         """
-        finished = skin + self.share[:, None] * (wanted - skin)
-        return finished + self._out(finished, np.maximum(self.depth(finished), 0.0))
+        finished = skin + amount * self.share[:, None] * (wanted - skin)
+        return finished + self._out(finished, amount * np.maximum(self.depth(finished), 0.0))
 
     def half_way(self, skin_at: Callable[[float], Floats]) -> Floats | None:
         """Return the motion (V, 3) that, times 4 w (1 - w), keeps lids off the eyeball on the way.
@@ -103,3 +105,33 @@ class Lids:
         """Return the unit vectors (k, 3) from the eyeball's centre to the lids."""
         arm = skin[self.vertices] - self.eyeball.centre
         return np.asarray(arm / np.linalg.norm(arm, axis=1, keepdims=True))
+
+
+class PlayedLids:
+    """Lids of a recording's frames, led to where its shapes take them as far as those move an eye.
+
+    Muscles alone close ``lids`` by two thirds. ``basis`` are the template's shapes, of which the
+    ``drives`` play some.
+    """
+
+    def __init__(self, lids: Sequence[Lids], basis: ShapeBasis, drives: RecordedDrives) -> None:
+        self._drives = drives
+        self._lids = lids
+        names = drives.names
+        self._of_eye = [[k for k, n in enumerate(names) if each.moves(n)] for each in lids]
+        self._near = np.flatnonzero(np.sum([each.share for each in lids], axis=0))
+        self._motions = np.zeros((len(drives.names), len(self._near), 3))
+        for number, name in enumerate(drives.names):
+            if name in basis.expression_names:  # all but a person's own
+                shape = basis.expressions[basis.expression_names.index(name)]
+                self._motions[number] = shape[self._near]
+
+    def lead(self, skin: Floats, neutral: Floats, time: float) -> Floats:
+        """Return a ``skin`` (V, 3) at ``time`` with its lids led; both are in the head's frame."""
+        weights = self._drives.weights_at(time)
+        wanted = skin.copy()
+        wanted[self._near] = neutral[self._near] + np.tensordot(weights, self._motions, 1)
+        for lids, of_eye in zip(self._lids, self._of_eye, strict=True):
+            amount = float(np.clip(weights[of_eye].sum(), 0.0, 1.0))
+            skin = lids.finish(skin, wanted, amount)
+        return skin
