@@ -99,6 +99,7 @@ INPUTS: Mapping[str, Input] = {
     "template": Input((_option("template", "template NPZ; default: built-in"),)),
     "assets": Input((_named_files("asset", "NAME=FILE, a file that the scene names; repeatable"),)),
     "sequences": Input(()),  # a scene names them as it does assets
+    "signals": Input(()),  # the same
     "blendshapes": Input((_option("blendshapes", "blendshapes.npz of an earlier animation"),)),
     "expression_basis": Input(
         (_option("basis", "expression_basis.npz of an earlier job", "expression_basis"),)
@@ -164,6 +165,7 @@ FILES: Mapping[str, LeftFile] = {
         "asset",
         formats=(1, 2, 3),  # 2 has what markers add, 3 weights of shapes
     ),
+    "signals.csv": LeftFile("signals", "asset"),
     "blendshapes.npz": LeftFile("blendshapes", "blendshapes", of_a_rig=True, is_kept=True),
     "expression_basis.npz": LeftFile(
         "expression_basis", "expression_basis", of_a_rig=True, is_kept=True

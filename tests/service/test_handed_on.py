@@ -14,6 +14,7 @@ from service.settings import Settings
 from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, Artifact, Job
 from solver.kinds import FILES, KINDS
+from solver.scans.recordings import SIGNALS_FILE
 from tests.service_client import Studio, served
 
 SCENE = {"options": {"scene": {"performance": {"asset": "sequence"}}}}
@@ -301,6 +302,20 @@ def test_what_a_live_session_sent_reaches_the_jobs_of_its_takes(session: Session
         assert "live_takes" not in session.sources(session.ask(kind, **more).json()["id"])
         job = session.ask(kind, sent, **more).json()["id"]
         assert session.sources(job)["live_takes"] == live
+
+
+def test_what_was_measured_of_a_video_is_a_recording_of_later_jobs(session: Session) -> None:
+    clip = session.studio._add(session.subject, "filmed", "asset", {})
+    filmed = {"options": {"scene": {"recording": {"asset": "filmed"}}}, "captures": [clip]}
+    first = session.left("animate", "signals.csv", "animation.glb", **filmed)
+    signals = {"job": first, "artifact": "signals.csv"}
+    scene = {"options": {"scene": {"recording": {"asset": "signals", "gain": 1.3}}}}
+    answer = session.ask("animate", signals, **scene)
+    assert answer.status_code == 201, answer.text
+    assert ("asset", "signals", "signals.csv") in session.inputs(answer.json()["id"])
+    refused = session.ask("simulate", signals, options={"scene": {}})
+    assert refused.json()["code"] == "artifact.not_an_input"
+    assert KINDS["animate"].hands_on[-1] == SIGNALS_FILE
 
 
 def test_every_file_that_is_handed_on_is_an_input_of_some_kind() -> None:
