@@ -10,6 +10,8 @@ from solver.cache import cache_path
 
 VARIABLE = "MYOFACE_FACE_LANDMARKER"  # of the environment: a file in the place of the fetched one
 FILE = "face_landmarker_v2.task"  # in the cache folder, where it is fetched to
+# packages without which no face is found, and no film read
+PACKAGES = ("av", "mediapipe")
 HELP = f"run myoface assets fetch landmarker, or name a file in {VARIABLE}"
 
 
@@ -29,3 +31,10 @@ def optional_landmarker() -> Path | None:
     if os.environ.get(VARIABLE) or importlib.util.find_spec("mediapipe") is not None:
         return landmarker_file()
     return None
+
+
+def lacking_of_faces() -> list[str]:
+    """Return what is missing here of finding faces: packages, and the ``landmarker`` itself."""
+    lacks = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
+    file = landmarker_file()
+    return lacks if file is not None and file.is_file() else [*lacks, "landmarker"]
