@@ -93,7 +93,7 @@ def transfer(
     out.print(
         f"{report['frames']} frames played; in the whole {source} {told['seen']} with a face, "
         f"gaps: {told['gaps']}, the longest of {told['longest_gap_s']:.2f} s; "
-        f"{len(told['unseen_shapes'])} shapes are not seen"
+        f"{len(told['unseen_shapes'])} shapes are not seen, or not the template's"
     )
     if is_filmed:
         out.print(f"{output / PICTURE}")
