@@ -159,7 +159,7 @@ def solve(
     for item in job["inputs"]:
         role = item.get("capture_role", role)
         path = Path(item["path"])
-        if item["role"] in ("capture", "photo", "asset"):
+        if item["role"] in ("capture", "photo", "asset", "wrinkles"):
             captures[item["name"]] = path
         elif item["role"] == "facts":
             facts[item["name"]] = path

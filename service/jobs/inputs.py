@@ -190,6 +190,8 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
         **({"of_a_rig": rigs.made_of_rig(rig)} if rig else {}),
     }
     files += _left_files(session, kind, new.subject_id, made_of)
+    if rig is not None:
+        files += _of_expressions(session, kind, rig, neutral_of(model))
     return Inputs(files, model_job_id=model.id)
 
 
@@ -210,6 +212,31 @@ def _left_files(
         if found:
             files.append(artifact_file(file.role, found))
     return files
+
+
+def _of_expressions(session: Session, kind: Kind, rig: Rig, neutral: str | None) -> list[InputFile]:
+    """Return what the rig's expressions left for a kind, by their names, the newest of each.
+
+    They were registered from the ``neutral`` with this sha256, which the rig's model was built of.
+    """
+    left = {name: file for name, file in FILES.items() if file.of_expressions}
+    wanted = {name: file.role for name, file in left.items() if file.input in kind.reads}
+    if not wanted or neutral is None:
+        return []
+    fitted = {
+        capture.id: capture
+        for capture in captures.of_subject(session, rig.subject_id)
+        if capture.role == "expression" and capture.name in rig.expressions
+    }
+    found: dict[tuple[str, str], InputFile] = {}
+    for job in captures.succeeded_jobs(session, captures.REGISTRATION, [*fitted.values()]):
+        if neutral_of(job) != neutral:
+            continue
+        for artifact in job.artifacts:
+            if (role := wanted.get(artifact.name)) is not None:
+                name = fitted[str(job.capture_id)].name
+                found.setdefault((role, name), artifact_file(role, artifact, name))
+    return [*found.values()]
 
 
 def _files_of_rig(session: Session, rig: Rig) -> list[InputFile]:

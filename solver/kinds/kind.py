@@ -77,8 +77,8 @@ class Kind:
         that an earlier job of the rig left, and ``live_skin``, ``live_samples`` and a
         ``marker_set`` without its take as well; ``live_takes`` what the live session of a take
         sent of it, named as a file of that session; ``tracks`` one of its model, ``texture`` and
-        ``normals`` those of the registration of its neutral, ``wrinkles`` those of expressions,
-        named as assets are.
+        ``normals`` those of the registration of its neutral, ``wrinkles`` those of the
+        rig's expressions, or others that are named as assets are.
     asks
         What only a command line asks for: the ``role`` of a capture, which a service knows, and
         the ``start`` of a fit, another rig.
