@@ -8,7 +8,7 @@ capture.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
@@ -97,7 +97,7 @@ def _about_one_capture(session: Session, kind: Kind, new: NewJob) -> Inputs:
     files = [{**scan, "capture_role": capture.role}, *_landmarks("landmarks", capture)]
     if "neutral" in kind.reads and capture.role != "neutral":
         neutral = _neutral(session, new.subject_id, of_an_expression=True)
-        of_the_neutral = {"of_a_neutral": Job.id == neutral["of"]}
+        of_the_neutral = {"of_a_neutral": [Job.id == neutral["of"]]}
         files += [neutral, *_left_files(session, kind, new.subject_id, of_the_neutral)]
     return Inputs([*files, *_template(session, kind, new)], capture_id=capture.id)
 
@@ -185,9 +185,10 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
         files += _assets(session, new)
     files += _template(session, kind, new)
     made_of = {
-        "of_a_neutral": rigs.made_into_model(model),
-        "of_a_model": rigs.made_of_model(model),
-        **({"of_a_rig": rigs.made_of_rig(rig)} if rig else {}),
+        # a scan that is registered again may have left colours then that it did not before
+        "of_a_neutral": [rigs.made_into_model(model), rigs.registered_again(model)],
+        "of_a_model": [rigs.made_of_model(model)],
+        **({"of_a_rig": [rigs.made_of_rig(rig)]} if rig else {}),
     }
     files += _left_files(session, kind, new.subject_id, made_of)
     if rig is not None:
@@ -196,21 +197,27 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
 
 
 def _left_files(
-    session: Session, kind: Kind, subject_id: str, made_of: Mapping[str, ColumnElement[bool]]
+    session: Session,
+    kind: Kind,
+    subject_id: str,
+    made_of: Mapping[str, Sequence[ColumnElement[bool]]],
 ) -> list[InputFile]:
     """Return the files that earlier jobs left for a kind, the newest of each.
 
-    ``made_of`` has what holds of those jobs, by the member of :class:`LeftFile` that asks for it.
+    ``made_of`` has what holds of those jobs, by the member of :class:`LeftFile` that asks for it,
+    and what holds of others, of which a file is taken where the first left none.
     """
     files = []
     for name, file in FILES.items():
-        asked = [holds for member, holds in made_of.items() if getattr(file, member)]
-        if file.input not in kind.reads or not asked:
+        asked = next((holds for member, holds in made_of.items() if getattr(file, member)), ())
+        if file.input not in kind.reads:
             continue
         leavers = [each.name for each in KINDS.values() if name in each.hands_on]
-        found = rigs.left_by(session, subject_id, asked[0], leavers, name, file.formats)
-        if found:
-            files.append(artifact_file(file.role, found))
+        for holds in asked:
+            found = rigs.left_by(session, subject_id, holds, leavers, name, file.formats)
+            if found:
+                files.append(artifact_file(file.role, found))
+                break
     return files
 
 

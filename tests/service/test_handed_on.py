@@ -10,7 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from sqlalchemy import update
+from sqlalchemy import delete, update
 
 from service.settings import Settings
 from service.store.database import Store
@@ -351,6 +351,12 @@ def test_the_texture_of_the_neutral_s_registration_is_found(session: Session) ->
     assert session.sources(job)["texture"] == register
     named = [{"job": newer, "artifact": "texture.png"}]
     job = session.studio.submit("build_studio_rig", subject, rig_id=rig, from_jobs=named)
+    assert session.sources(job)["texture"] == newer
+    # where the model's own left none, the same scan registered again has it
+    with session.store.write() as rows:
+        same = (Artifact.job_id == register, Artifact.name == "texture.png")
+        rows.execute(delete(Artifact).where(*same))
+    job = session.studio.submit("build_studio_rig", subject, rig_id=rig)
     assert session.sources(job)["texture"] == newer
     # a person whose neutral came registered has none
     other = session.ask("build_studio_rig", rig_id=session.rig).json()["id"]
