@@ -58,6 +58,8 @@ def _needs(new: NewJob, files: list[InputFile]) -> tuple[Mapping[str, str], str]
     """Return what finding faces in a job's files needs, and the name of the first of them."""
     recording = _recording(new.options)
     told = {each["name"] for each in files if each["role"] == "facts"}
+    if told and new.options.get("sequence") is True:
+        return {}, ""  # a film whose other pictures may be passed over
     for file in files:
         is_film = PurePath(file["filename"]).suffix.lower() in FILMS
         name = file["name"]

@@ -77,7 +77,7 @@ def run(task: Task[Animate]) -> list[Path]:
 
     played = _Played()
     stage, drives, playing = _set_stage(task, rig, places, recorded, played)
-    more = {**_told_of(recorded, drives.names, played.transfer, progress), **played.figures}
+    more = {**_told_of(recorded, drives.names, played.transfer, playing), **played.figures}
     if recorded.timecodes:
         more["timecode"] = recorded.timecodes[recording.start]
     frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
@@ -190,7 +190,7 @@ def _told_of(
         reason = f"nothing of the face is driven by {', '.join(quote_names(lacking))}"
         message = f"{reason}, which move in the recording: the template has no such shapes"
         notices.append(make_warning("recording.shapes", message, {"found": lacking}))
-        progress(Step("warning", READ, message=message))
+        progress(Step("warning", 0.0, message=message))
     return {"transfer": transfer, "notices": [notice.as_dict() for notice in notices]}
 
 

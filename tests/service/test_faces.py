@@ -89,6 +89,12 @@ def test_a_photograph_needs_no_film_reader_and_with_landmarks_nothing(session: S
     assert (told.status_code, told.json()["code"]) == (409, "landmarks.extra")
     assert told.json()["found"] == "front"
     assert session.ask("fit_photo", captures=[left]).status_code == 201
+    # of a film only the frames that are fitted have to be told
+    hire(session, "poor too", ["mediapipe"], queue="long")
+    film = {"options": {"sequence": True}}
+    assert session.ask("fit_photo", captures=[left, front], **film).status_code == 201
+    told = session.ask("fit_photo", captures=[front], **film)
+    assert (told.status_code, told.json()["code"]) == (409, "landmarks.extra")
 
 
 def test_workers_of_the_solver_s_own_jobs_say_what_they_lack(
