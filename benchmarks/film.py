@@ -27,6 +27,7 @@ from benchmarks.subjects import COARSE_EDGE_MM, Subject
 from solver.anatomy.skin_points import SkinPoints
 from solver.errors import InputError
 from solver.kinds.inputs import FILMS
+from solver.landmarker import landmarker_file
 from solver.mechanics.linear import fastest
 from solver.photo.camera import PinholeCamera
 from solver.photo.expression import ExpressionOptions, ShadingOptions
@@ -36,7 +37,7 @@ from solver.photo.fit import PhotoPoint
 from solver.photo.footage import FilmFile, Footage
 from solver.photo.mesh_points import landmark_points
 from solver.photo.photo import Photo
-from solver.registration.detector import EYE_CORNERS, landmarker_file
+from solver.registration.detector import EYE_CORNERS
 from solver.similarity import small_motion, weighted_motion
 from solver.surface import Floats
 from solver.tracks.basis import MuscleTracks

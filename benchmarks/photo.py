@@ -34,6 +34,7 @@ from solver.anatomy.skin_points import SkinPoints
 from solver.anatomy.template import Template
 from solver.drawing.render import GAMMA, irradiance, rasterise
 from solver.errors import InputError
+from solver.landmarker import landmarker_file
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.photo.camera import PinholeCamera
@@ -44,7 +45,7 @@ from solver.photo.identity import fit_identity
 from solver.photo.mesh_points import landmark_points
 from solver.photo.photo import Photo
 from solver.photo.read import read_photo
-from solver.registration.detector import FaceDetector, landmarker_file
+from solver.registration.detector import FaceDetector
 from solver.similarity import small_motion, weighted_motion
 from solver.surface import Floats, Surface, adjacency, vertex_normals
 from solver.tracks.basis import MuscleTracks
@@ -259,7 +260,7 @@ def _pair(
     """Return the figures of a real pair, or why there are none."""
     file = landmarker_file()
     if scan is None or not scan.is_file() or file is None:
-        log.info("pair skipped: it asks for --scan and MYOFACE_FACE_LANDMARKER")
+        log.info("pair skipped: it asks for --scan and a face landmarker")
         return {"skipped": "no scan of a pair, or no face landmarker"}
     with FaceDetector(file) as detector:
         pair = read_pair(scan, template, options.edge_mm, detector)

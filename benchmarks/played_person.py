@@ -21,7 +21,7 @@ from solver.animation.controls.pairs import Walks, solve_pairs
 from solver.fitting.activation import UNSEEN_STOP, fit, unseen_regulariser
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.objective import SkinDistance, Target
-from solver.registration.detector import landmarker_file
+from solver.landmarker import landmarker_file
 from solver.rig import Rig
 from solver.surface import Floats
 

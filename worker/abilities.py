@@ -14,7 +14,9 @@ from service.settings import Settings
 from service.store.database import clock
 from service.store.models import Worker
 from solver.kinds import KINDS
+from solver.landmarker import lacking_of_faces
 
+OWN_JOBS = Settings.model_fields["jobs"].default
 HOST = socket.gethostname()
 NAME = f"{HOST}:{os.getpid()}"
 
@@ -39,8 +41,18 @@ def abilities(settings: Settings, kinds: Iterable[str] = ()) -> Abilities:
     )
 
 
-def show_life(session: Session, queue: str, can: Abilities, slots: int) -> None:
-    """Say in the table of workers that this one lives, and what it does."""
+def lacking(settings: Settings) -> list[str]:
+    """Return what is missing here of finding faces in pictures, as it is now.
+
+    A model that is fetched meanwhile serves the next job. Jobs of another package may do without.
+    """
+    return lacking_of_faces() if settings.jobs == OWN_JOBS else []
+
+
+def show_life(
+    session: Session, queue: str, can: Abilities, slots: int, lacks: Iterable[str] = ()
+) -> None:
+    """Say in the table of workers that this one lives, what it does, and what it lacks for it."""
     worker = session.get(Worker, can.worker)
     if worker is None:
         worker = Worker(name=can.worker, queue=queue)
@@ -48,6 +60,7 @@ def show_life(session: Session, queue: str, can: Abilities, slots: int) -> None:
     worker.host = HOST
     worker.version = _version()
     worker.kinds = sorted(kind for kind in can.kinds if KINDS[kind].queue == queue)
+    worker.lacks = list(lacks)
     worker.memory_mb = can.memory_mb
     worker.threads = can.threads
     worker.slots = slots

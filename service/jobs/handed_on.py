@@ -21,10 +21,12 @@ InputFile = dict[str, Any]  # a file of a job, as its request keeps it
 OF_A_RIG = frozenset(file.role for file in FILES.values() if file.of_a_rig)
 
 # Roles that are found where none is named
-FOUND = OF_A_RIG | {file.role for file in FILES.values() if file.of_a_neutral}
+FOUND = OF_A_RIG | {
+    file.role for file in FILES.values() if file.of_a_neutral or file.of_expressions
+}
 
 # Roles of which a job may have several files, by their names
-NAMED = frozenset({"asset", "capture", "photo", "facts", "mask"})
+NAMED = frozenset({"asset", "capture", "photo", "facts", "mask", "wrinkles"})
 
 
 def input_file(role: str, name: str, filename: str, sha256: str, *, of: str) -> InputFile:
@@ -119,7 +121,7 @@ def join(files: list[InputFile], handed: list[InputFile]) -> list[InputFile]:
     for number, each in enumerate(handed):
         if _place(each) in known:
             what = each["role"].replace("_", " ")
-            what = f"{what} called {each['name']}" if each["role"] == "asset" else what
+            what = f"{what} called {each['name']}" if each["role"] in NAMED else what
             detail = f"the job has another {what}: leave one of them out"
             raise Problem(422, "job.twice", detail, member=f"from_jobs.{number}")
         known.add(_place(each))

@@ -8,7 +8,7 @@ capture.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
@@ -97,7 +97,7 @@ def _about_one_capture(session: Session, kind: Kind, new: NewJob) -> Inputs:
     files = [{**scan, "capture_role": capture.role}, *_landmarks("landmarks", capture)]
     if "neutral" in kind.reads and capture.role != "neutral":
         neutral = _neutral(session, new.subject_id, of_an_expression=True)
-        of_the_neutral = {"of_a_neutral": Job.id == neutral["of"]}
+        of_the_neutral = {"of_a_neutral": [Job.id == neutral["of"]]}
         files += [neutral, *_left_files(session, kind, new.subject_id, of_the_neutral)]
     return Inputs([*files, *_template(session, kind, new)], capture_id=capture.id)
 
@@ -185,31 +185,65 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
         files += _assets(session, new)
     files += _template(session, kind, new)
     made_of = {
-        "of_a_neutral": rigs.made_into_model(model),
-        "of_a_model": rigs.made_of_model(model),
-        **({"of_a_rig": rigs.made_of_rig(rig)} if rig else {}),
+        # a scan that is registered again may have left colours then that it did not before
+        "of_a_neutral": [rigs.made_into_model(model), rigs.registered_again(model)],
+        "of_a_model": [rigs.made_of_model(model)],
+        **({"of_a_rig": [rigs.made_of_rig(rig)]} if rig else {}),
     }
     files += _left_files(session, kind, new.subject_id, made_of)
+    if rig is not None:
+        files += _of_expressions(session, kind, rig, neutral_of(model))
     return Inputs(files, model_job_id=model.id)
 
 
 def _left_files(
-    session: Session, kind: Kind, subject_id: str, made_of: Mapping[str, ColumnElement[bool]]
+    session: Session,
+    kind: Kind,
+    subject_id: str,
+    made_of: Mapping[str, Sequence[ColumnElement[bool]]],
 ) -> list[InputFile]:
     """Return the files that earlier jobs left for a kind, the newest of each.
 
-    ``made_of`` has what holds of those jobs, by the member of :class:`LeftFile` that asks for it.
+    ``made_of`` has what holds of those jobs, by the member of :class:`LeftFile` that asks for it,
+    and what holds of others, of which a file is taken where the first left none.
     """
     files = []
     for name, file in FILES.items():
-        asked = [holds for member, holds in made_of.items() if getattr(file, member)]
-        if file.input not in kind.reads or not asked:
+        asked = next((holds for member, holds in made_of.items() if getattr(file, member)), ())
+        if file.input not in kind.reads:
             continue
         leavers = [each.name for each in KINDS.values() if name in each.hands_on]
-        found = rigs.left_by(session, subject_id, asked[0], leavers, name, file.formats)
-        if found:
-            files.append(artifact_file(file.role, found))
+        for holds in asked:
+            found = rigs.left_by(session, subject_id, holds, leavers, name, file.formats)
+            if found:
+                files.append(artifact_file(file.role, found))
+                break
     return files
+
+
+def _of_expressions(session: Session, kind: Kind, rig: Rig, neutral: str | None) -> list[InputFile]:
+    """Return what the rig's expressions left for a kind, by their names, the newest of each.
+
+    They were registered from the ``neutral`` with this sha256, which the rig's model was built of.
+    """
+    left = {name: file for name, file in FILES.items() if file.of_expressions}
+    wanted = {name: file.role for name, file in left.items() if file.input in kind.reads}
+    if not wanted or neutral is None:
+        return []
+    fitted = {
+        capture.id: capture
+        for capture in captures.of_subject(session, rig.subject_id)
+        if capture.role == "expression" and capture.name in rig.expressions
+    }
+    found: dict[tuple[str, str], InputFile] = {}
+    for job in captures.succeeded_jobs(session, captures.REGISTRATION, [*fitted.values()]):
+        if neutral_of(job) != neutral:
+            continue
+        for artifact in job.artifacts:
+            if (role := wanted.get(artifact.name)) is not None:
+                name = fitted[str(job.capture_id)].name
+                found.setdefault((role, name), artifact_file(role, artifact, name))
+    return [*found.values()]
 
 
 def _files_of_rig(session: Session, rig: Rig) -> list[InputFile]:

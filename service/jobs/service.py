@@ -13,6 +13,7 @@ from service import tracing
 from service.access.limits import check_bytes, check_queued
 from service.errors import Problem, lost
 from service.jobs import repository
+from service.jobs.faces import refuse_unseen
 from service.jobs.inputs import resolve
 from service.jobs.options import check_options, find_kind
 from service.jobs.schemas import Cancel, FramesView, NewJob, Retry
@@ -67,6 +68,7 @@ def submit(
     check_bytes(session, 0)  # what jobs leave counts: no more of it beyond the quota
     subjects.lock(session, new.subject_id)
     inputs = resolve(session, kind, new)
+    refuse_unseen(session, kind, new, inputs.files)
     job = Job(
         id=job_id or new_id(),
         subject_id=new.subject_id,

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import ColumnElement, or_, select
-from sqlalchemy.orm import Session, load_only
+from sqlalchemy.orm import Session, aliased, load_only
 
 from service import paging
 from service.errors import Problem, not_found
@@ -95,7 +95,20 @@ def made_of_model(model: Job) -> ColumnElement[bool]:
 
 def made_into_model(model: Job) -> ColumnElement[bool]:
     """Return what holds of the job that left the neutral which a model was built from."""
-    return Job.id.in_([item.get("of") for item in model.inputs if item["role"] == "neutral"])
+    return Job.id.in_(_neutral_of(model))
+
+
+def registered_again(model: Job) -> ColumnElement[bool]:
+    """Return what holds of jobs about the scan whose registration a model was built from.
+
+    What these leave on the template's texture coordinates lies on the model's skin, too.
+    """
+    first = aliased(Job)
+    return Job.capture_id.in_(select(first.capture_id).where(first.id.in_(_neutral_of(model))))
+
+
+def _neutral_of(model: Job) -> list[str | None]:
+    return [item.get("of") for item in model.inputs if item["role"] == "neutral"]
 
 
 def left_by(

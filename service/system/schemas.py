@@ -107,6 +107,9 @@ class WorkerView(View):
     host: str
     version: str
     kinds: list[str] = Field(description="the kinds of job that it does")
+    lacks: list[str] | None = Field(
+        description="what is missing of finding faces in pictures: `av`, `mediapipe`, `landmarker`"
+    )
     memory_mb: int = Field(description="memory that each of its jobs may take")
     threads: int = Field(description="threads of each of its jobs")
     slots: int = Field(description="jobs at a time")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from solver.animation.controls import Controls
 from solver.animation.controls.exact import ShapesAtRest, fit_frames
 from solver.animation.lids import Lids, PlayedLids
 from solver.animation.tracks import TrackedShapes
-from solver.errors import InputError
+from solver.errors import InputError, make_warning, quote_names
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, read_template
 from solver.jobs.blendshapes import SOLVED, left_files, person_blendshapes, tell_blendshapes
@@ -32,10 +32,12 @@ from solver.scene import Stage
 from solver.scene.document import head_of, without_neck_muscles
 from solver.scene.places import Places
 from solver.surface import Floats
+from solver.templates.ict_facekit import arkit_source
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackContact
 
 TOLD_EVERY = 30  # frames of a video
+TOLD_ABOVE = 0.1  # change of a weight without a shape that is worth a notice
 
 
 def run(task: Task[Animate]) -> list[Path]:
@@ -67,7 +69,7 @@ def run(task: Task[Animate]) -> list[Path]:
 
     played = _Played()
     stage, drives, playing = _set_stage(task, rig, places, recorded, played)
-    more = {**_told_of(recorded, played.transfer), **played.figures}
+    more = {**_told_of(recorded, drives.names, played.transfer, playing), **played.figures}
     if recorded.timecodes:
         more["timecode"] = recorded.timecodes[recording.start]
     frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
@@ -138,6 +140,7 @@ def _set_stage(
         tracks = MuscleTracks.load(task.inputs["tracks"], model)
         drives = drives_of(TrackedShapes.of(model, tracks))
         played.figures["shapes"] = len(tracks.names)
+        played.transfer["controls"] = "tracks"
         return stage_of(drives, READ, TrackContact.firmer, tracks)
     # what moves the muscles may take minutes: what is wrong with the scene is told before
     check(drives_of(Blendshapes(model.muscle_names, {})))
@@ -170,20 +173,34 @@ def _detecting(task: Task[Animate]) -> Callable[[int], None]:
     return listen
 
 
-def _told_of(take: FaceTake, played: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the figures of a whole recording, and of how it was ``played``."""
+def _told_of(
+    take: FaceTake, driven: Sequence[str], played: Mapping[str, Any], progress: ProgressCallback
+) -> dict[str, Any]:
+    """Return the figures of a whole recording, and of how it was ``played`` by ``driven`` shapes.
+
+    Tell ``progress`` of shapes that move in it and drive none.
+    """
     whole = float(take.times[-1])
-    is_still = np.ptp(take.weights, axis=0) == 0.0
+    motion = np.ptp(take.weights, axis=0)
+    sources = {arkit_source(name) for name in driven}
+    unseen = [name for name, by in zip(ARKIT_NAMES, motion, strict=True) if by == 0.0]
+    lacking = [name for name in ARKIT_NAMES if name not in sources and name not in unseen]
     transfer = {
         "format": take.source,
         "fps": round((len(take.times) - 1) / whole, 3) if whole else None,
         "seen": int(take.seen.sum()),
         "gaps": len(take.gaps),
         "longest_gap_s": round(max(take.gaps, default=0.0), 3),
-        "unseen_shapes": [name for name, still in zip(ARKIT_NAMES, is_still, strict=True) if still],
+        "unseen_shapes": [name for name in ARKIT_NAMES if name in {*unseen, *lacking}],
         **played,
     }
-    return {"transfer": transfer, "notices": [notice.as_dict() for notice in take.notices]}
+    notices = list(take.notices)
+    if any(motion[ARKIT_NAMES.index(name)] > TOLD_ABOVE for name in lacking):
+        reason = f"nothing of the face is driven by {', '.join(quote_names(lacking))}"
+        message = f"{reason}, which move in the recording: the template has no such shapes"
+        notices.append(make_warning("recording.shapes", message, {"found": lacking}))
+        progress(Step("warning", 0.0, message=message))
+    return {"transfer": transfer, "notices": [notice.as_dict() for notice in notices]}
 
 
 @dataclass
@@ -201,6 +218,7 @@ def _shapes_of(task: Task[Animate], rig: Rig, played: _Played) -> DrivenShapes:
     asked = task.options.scene.controls
     model = rig.model
     if asked == "exact":
+        played.transfer["controls"] = "exact"
         motions = driven_motions(model, read_template(task).shapes)
         return ShapesAtRest(tuple(motions), model.muscle_count)
     if asked == "learned" and "controls" not in task.inputs:
@@ -216,6 +234,7 @@ def _shapes_of(task: Task[Animate], rig: Rig, played: _Played) -> DrivenShapes:
             raise InputError("controls.model", reason)
         task.progress(Step("warning", READ, message=f"controls.npz is not used: {reason}"))
     blended = person_blendshapes(task, rig)
+    played.transfer["controls"] = "blended"
     played.files += left_files(task)
     played.figures |= tell_blendshapes(blended)
     return blended

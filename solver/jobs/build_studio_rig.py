@@ -12,7 +12,7 @@ from solver.anatomy.template import Template
 from solver.animation.lids import Lids
 from solver.drawing.head import DrawnHead, face_camera
 from solver.drawing.sheet import Column, SheetLayout, draw_sheet
-from solver.errors import InputError
+from solver.errors import Finding, InputError
 from solver.jobs import Task, read_template
 from solver.jobs.blendshapes import SOLVED, left_files, person_blendshapes, tell_blendshapes
 from solver.jobs.scenes import READ
@@ -32,6 +32,10 @@ from solver.scene.places import Places
 from solver.storage import write_json
 
 MADE = 0.85  # share of the job after which the shapes are solved in flesh
+TEXTURE_ADVICE = (
+    "Register the neutral's raw scan again, with its colours (OBJ with MTL and images, GLB, PLY): "
+    "the rig's next job in a service finds what that leaves, a command line takes it by --texture."
+)
 LEVELS = {"studio": 1.0, "studio_half": 0.5, "studio_quarter": 0.25}  # share of the triangles
 
 
@@ -88,6 +92,9 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
         file = task.out / each.file
         file.write_bytes(each.content)
         written[file] = {"bytes": len(each.content)}
+    notices = _notices(texture)
+    for notice in notices:
+        progress(Step("warning", MADE, message=f"{notice.message} {notice.advice}"))
     picture = task.out / "studio.png"
     draw_shapes(model, light, picture)
     report = task.out / "studio.json"
@@ -97,6 +104,7 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
         "driven_by": given.driven_by,
         "has_texture": texture is not None and texture.colours is not None,
         "has_normals": texture is not None and texture.normals is not None,
+        "notices": [notice.to_dict() for notice in notices],
         "wrinkles": {each.name: each.told() for each in wrinkled},
         "levels": levels,
         "files": {file.name: told for file, told in written.items()},
@@ -112,6 +120,14 @@ def _read_texture(task: Task[BuildStudioRig], template: Template, faces: int) ->
     if not any(images.values()):
         return None
     return SkinTexture.read(texture_coordinates(template), faces, **images)
+
+
+def _notices(texture: SkinTexture | None) -> list[Finding]:
+    """Return what is told of a skin that has no colours."""
+    if texture is not None and texture.colours is not None:
+        return []
+    message = "The skin has no colours: no texture.png was given."
+    return [Finding("studio.no_texture", "info", message, TEXTURE_ADVICE)]
 
 
 def _write_usd(

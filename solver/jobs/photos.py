@@ -11,13 +11,14 @@ from solver.anatomy.template import Template
 from solver.errors import Finding, InputError, quote_names
 from solver.jobs import Task
 from solver.kinds import MOST_PHOTOS
+from solver.landmarker import HELP, landmarker_file
 from solver.photo.detect import Box, find_face, judge_size
 from solver.photo.expression import begin_camera
 from solver.photo.mesh_points import landmark_points
 from solver.photo.oddities import find_oddities
 from solver.photo.photo import Photo
 from solver.photo.read import read_photo
-from solver.registration.detector import FaceDetector, landmarker_file
+from solver.registration.detector import FaceDetector
 from solver.registration.landmarks import landmark_vertices
 
 
@@ -105,7 +106,7 @@ def find_landmarker(photo: str) -> Path:
     if file is None:
         message = (
             f"{photo} has no landmarks, and nothing here finds them: give them as JSON beside it "
-            "(landmarks), or install MediaPipe's face landmarker (docs/science/photographs.md)"
+            f"(landmarks), or {HELP}"
         )
         raise InputError("landmarks.model", message, file=photo)
     return file

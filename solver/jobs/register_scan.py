@@ -12,13 +12,13 @@ from solver.errors import Finding, InputError
 from solver.jobs import Task, read_template
 from solver.kinds.kind import FrameOptions
 from solver.kinds.register_scan import RegisterScan
+from solver.landmarker import optional_landmarker
 from solver.meshio.colours import read_colours
 from solver.meshio.raw import RawScan, mend, read_raw
 from solver.meshio.registered import read_registered, write_registered
 from solver.meshio.scan_archive import opened_scan
 from solver.progress import Step
 from solver.registration.detail import DETAIL, Detail, bake_detail
-from solver.registration.detector import landmarker_file
 from solver.registration.landmarks import match, read_landmarks
 from solver.registration.normal_maps import read_normals
 from solver.registration.register import RegisteredFace, register
@@ -70,7 +70,7 @@ def _register(task: Task[RegisterScan], scan: Path) -> list[Path]:
         None if rest is None else rest.vertices,
         frame=task.options.model_dump(include=set(FrameOptions.model_fields)),
         landmarks=marks,
-        landmarker=landmarker_file(),
+        landmarker=optional_landmarker(),
         progress=progress,
     )
     progress(Step("pictures", 0.85))

@@ -20,11 +20,11 @@ KIND = Kind(
     queue="long",
     reads=(
         *("rig", "template", "assets", "blendshapes", "expression_basis", "controls", "tracks"),
-        "live_takes",
+        *("live_takes", "signals"),
     ),
     leaves="animation",
     result="animation.glb",
-    hands_on=("blendshapes.npz", "expression_basis.npz"),
+    hands_on=("blendshapes.npz", "expression_basis.npz", "signals.csv"),
     options=Animate,
     frames=True,
 )

@@ -99,6 +99,7 @@ INPUTS: Mapping[str, Input] = {
     "template": Input((_option("template", "template NPZ; default: built-in"),)),
     "assets": Input((_named_files("asset", "NAME=FILE, a file that the scene names; repeatable"),)),
     "sequences": Input(()),  # a scene names them as it does assets
+    "signals": Input(()),  # the same
     "blendshapes": Input((_option("blendshapes", "blendshapes.npz of an earlier animation"),)),
     "expression_basis": Input(
         (_option("basis", "expression_basis.npz of an earlier job", "expression_basis"),)
@@ -146,6 +147,8 @@ class LeftFile:
     of_a_model: bool = False  # the same of a model: jobs of rigs that have it find the newest
     # made of the neutral that a model is built from: jobs of rigs that have it find that one
     of_a_neutral: bool = False
+    # made of one expression: jobs of rigs find the newest of each that the rig has, by its name
+    of_expressions: bool = False
     is_kept: bool = False  # takes minutes to make: the next attempt at a job goes on with it
 
     @property
@@ -164,6 +167,7 @@ FILES: Mapping[str, LeftFile] = {
         "asset",
         formats=(1, 2, 3),  # 2 has what markers add, 3 weights of shapes
     ),
+    "signals.csv": LeftFile("signals", "asset"),
     "blendshapes.npz": LeftFile("blendshapes", "blendshapes", of_a_rig=True, is_kept=True),
     "expression_basis.npz": LeftFile(
         "expression_basis", "expression_basis", of_a_rig=True, is_kept=True
@@ -175,7 +179,7 @@ FILES: Mapping[str, LeftFile] = {
     "live_samples.npz": LeftFile("live_samples", "live_samples", of_a_rig=True, is_kept=True),
     "fibre_muscles.npz": LeftFile("fibre_muscles", "fibre_muscles", of_a_rig=True),
     "texture.png": LeftFile("texture", "texture", of_a_neutral=True),
-    "wrinkle_normals.png": LeftFile("wrinkles", "asset"),
+    "wrinkle_normals.png": LeftFile("wrinkles", "wrinkles", of_expressions=True),
     "normals.png": LeftFile("normals", "normals", of_a_neutral=True),
 }
 

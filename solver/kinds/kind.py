@@ -70,14 +70,15 @@ class Kind:
         ``markers`` a take of them with the session's marker set, if there is one, ``activations``
         a table of what is known of single muscles beside them, if there is one, ``photos`` up to
         sixteen photographs with what is known of each, or a film, ``assets`` any
-        number of theirs, ``sequences`` those that fits left, named as assets are; ``template`` is
+        number of theirs, ``sequences`` those that fits left and ``signals`` what was
+        measured of a video, both named as assets are; ``template`` is
         the subject's, ``model`` its newest, ``rig`` a fitted person, ``any_rig`` one that may be
         left out, ``blendshapes``, ``expression_basis`` and calibrated ``fibre_muscles`` are those
         that an earlier job of the rig left, and ``live_skin``, ``live_samples`` and a
         ``marker_set`` without its take as well; ``live_takes`` what the live session of a take
         sent of it, named as a file of that session; ``tracks`` one of its model, ``texture`` and
-        ``normals`` those of the registration of its neutral, ``wrinkles`` those of expressions,
-        named as assets are.
+        ``normals`` those of the registration of its neutral, ``wrinkles`` those of the
+        rig's expressions, or others that are named as assets are.
     asks
         What only a command line asks for: the ``role`` of a capture, which a service knows, and
         the ``start`` of a fit, another rig.

@@ -7,7 +7,6 @@ Of each face it tells where 478 points of a mesh are: 468 of the skin, five abou
 from __future__ import annotations
 
 import importlib.util
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solver.errors import InputError
+from solver.landmarker import HELP
 from solver.surface import Floats
 
-# environment variable with the path of the landmarker's file
-LANDMARKER_VARIABLE = "MYOFACE_FACE_LANDMARKER"
 SKIN_POINTS = 468  # the first ones; those after them are on the irises
 # closed lines of the mesh by the names that curves of photographs have: left is the subject's
 LINES = {
@@ -39,12 +37,6 @@ LIP_OUTLINE = (
     *(291, 409, 270, 269, 267, 0, 37, 39, 40, 185),
 )
 EYE_CORNERS = 33, 263  # the outer ones, of the subject's right eye and left
-
-
-def landmarker_file() -> Path | None:
-    """Return the landmarker's file that the environment names; None where it names none."""
-    given = os.environ.get(LANDMARKER_VARIABLE)
-    return Path(given) if given else None
 
 
 @dataclass(frozen=True)
@@ -102,7 +94,7 @@ class FaceDetector:
             message = "finding landmarks needs the extra: pip install 'myoface[mediapipe]'"
             raise InputError("landmarks.extra", message)
         if not model.is_file():
-            message = f"there is no face landmarker file {model}"
+            message = f"there is no face landmarker file {model}: {HELP}"
             raise InputError("landmarks.model", message, file=str(model))
         from mediapipe.tasks.python import BaseOptions, vision
 
@@ -118,7 +110,7 @@ class FaceDetector:
             )
             self._landmarker: Any = vision.FaceLandmarker.create_from_options(wanted)
         except (RuntimeError, ValueError) as error:
-            message = f"{model.name} is no face landmarker: {error}"
+            message = f"{model.name} is no face landmarker ({error}): {HELP}"
             raise InputError("landmarks.model", message, file=str(model)) from error
 
     def __enter__(self) -> Self:

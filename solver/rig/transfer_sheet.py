@@ -14,13 +14,9 @@ from solver.animation import Gaze
 from solver.drawing.render import Pixels
 from solver.drawing.sheet import MARGIN, PAPER, Column, SheetLayout, draw_sheet
 from solver.fitting.face import Face
+from solver.landmarker import landmarker_file
 from solver.model import SubjectModel
-from solver.registration.detector import (
-    DetectedFace,
-    DetectorOptions,
-    FaceDetector,
-    landmarker_file,
-)
+from solver.registration.detector import DetectedFace, DetectorOptions, FaceDetector
 from solver.rig.frames import FRAMES, read_chunks
 from solver.rig.frames.animation import Filming, MotionRecord
 from solver.rig.painted_faces import PAINT, PaintedFaces

@@ -16,18 +16,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from solver.errors import Finding, InputError, count_words, make_warning
-from solver.registration.detector import (
-    DetectedFace,
-    DetectorOptions,
-    FaceDetector,
-    landmarker_file,
-)
+from solver.landmarker import HELP, landmarker_file
+from solver.registration.detector import DetectedFace, DetectorOptions, FaceDetector
 from solver.scans.film import FILM_LIMITS, FilmLimits, decode_film
 from solver.scans.live_link import ARKIT_NAMES, FaceTake
 from solver.scans.signals import eyes_of
 from solver.surface import Floats
-
-HELP = "myoface assets fetch landmarker, and name the file in MYOFACE_FACE_LANDMARKER"
 
 
 @dataclass(frozen=True)
@@ -133,8 +127,7 @@ def _detector(options: VideoOptions) -> Iterator[FaceDetector]:
         detector = FaceDetector(model, DetectorOptions(options.most_faces, weights=True))
     except InputError as error:
         code = error.code.replace("landmarks.", "video.")
-        words = error.message if code == "video.extra" else f"{error.message}: {HELP}"
-        raise InputError(code, words, **error.context) from error
+        raise InputError(code, error.message, **error.context) from error
     with detector:
         yield detector
 

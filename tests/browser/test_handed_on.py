@@ -48,6 +48,30 @@ def test_a_take_is_checked_fitted_and_played_without_a_download(show: Show, stud
     assert film["from_jobs"] == [{"job": fit["id"], "artifact": "sequence.npz", "name": "talk"}]
 
 
+def test_signals_of_a_video_are_played_again_with_another_gain(show: Show, studio: Studio) -> None:
+    subject, rig = studio.rigged()
+    upload = studio.upload("talk.mp4", b"film")
+    path = f"/v1/subjects/{subject}/captures"
+    clip = studio.post(path, name="talk", role="asset", upload_id=upload)["id"]
+    scene = {"recording": {"asset": "talk", "face": 1, "gain": 1.2}}
+    how = {"rig_id": rig, "captures": [clip], "options": {"scene": scene}}
+    first = studio.done("animate", subject, **how)
+    page = show(f"/jobs/{first['id']}")
+
+    page.get_by_role("button", name="Play its signals again").click()
+    dialog = page.get_by_role("dialog")
+    assert dialog.get_by_role("checkbox", name="signals.csv of", exact=False).is_checked()
+    given = dialog.get_by_label("Scene", exact=True)
+    given.fill(given.input_value().replace("1.2", "1.5"))
+    dialog.get_by_role("button", name="Submit").click()
+    page.wait_for_url(lambda url: not url.endswith(first["id"]))
+    again = studio.finished(page.url.rsplit("/", 1)[1])
+    assert again["state"] == "succeeded"
+    assert again["from_jobs"] == [{"job": first["id"], "artifact": "signals.csv", "name": None}]
+    assert again["options"]["scene"]["recording"] == {"asset": "signals", "gain": 1.5}
+    assert again["result"]["summary"]["recording"] != first["result"]["summary"]["recording"]
+
+
 def _takes(studio: Studio, subject: str) -> list[str]:
     """Return the take and the marker set that was uploaded."""
     found = studio.get(f"/v1/subjects/{subject}/captures")["items"]

@@ -19,8 +19,11 @@ import pytest
 from myoface.assets.catalogue import CATALOGUE, PublicAsset
 from myoface.assets.fetch import RECORD, fetch
 from myoface.errors import ApiError
+from service.settings import Settings
+from solver import landmarker
 from solver.errors import InputError
 from tests.command_line import invoke
+from worker.caches import TenantCache
 
 
 def archive(seed: int = 0) -> bytes:
@@ -266,3 +269,29 @@ def test_a_file_that_programs_read_is_laid_beside_its_archive(
     with zipfile.ZipFile(tmp_path / "to" / "asset.zip") as archive:
         assert unpacked.read_bytes() == archive.read("model/mesh.obj")
     assert invoke(command).exit_code == 0
+
+
+def test_the_landmarker_is_found_where_it_is_fetched_to(
+    shelf: Shelf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A solver process finds it, too: its cache folder links the files of the installation's."""
+    asset = replace(CATALOGUE["landmarker"], members={"mesh.obj": None}, unpacked="mesh.obj")
+    known = {"size": len(shelf.content), "sha256": hashlib.sha256(shelf.content).hexdigest()}
+    shown = replace(asset, url=shelf.url, file="asset.zip", **known)  # type: ignore[arg-type]
+    monkeypatch.setitem(CATALOGUE, "landmarker", shown)
+    monkeypatch.setattr(landmarker, "FILE", "mesh.obj")
+    monkeypatch.delenv(landmarker.VARIABLE, raising=False)
+    monkeypatch.setenv("MYOFACE_CACHE", str(tmp_path / "cache"))
+    assert landmarker.landmarker_file() is None
+    told = invoke(["assets", "fetch", "landmarker", "--accept-licence"])
+    assert told.exit_code == 0, told.output
+    assert landmarker.landmarker_file() == tmp_path / "cache" / "mesh.obj"
+    assert landmarker.VARIABLE not in told.output
+    kept = TenantCache("tenant", Settings(data_dir=tmp_path / "data"))
+    kept.link_into(tmp_path / "attempt")
+    monkeypatch.setenv("MYOFACE_CACHE", str(tmp_path / "attempt"))
+    found = landmarker.landmarker_file()
+    assert found
+    assert found.read_bytes() == (tmp_path / "cache" / "mesh.obj").read_bytes()
+    monkeypatch.setenv(landmarker.VARIABLE, "other.task")
+    assert landmarker.landmarker_file() == Path("other.task")

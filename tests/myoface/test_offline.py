@@ -11,8 +11,12 @@ import pytest
 
 from myoface.cli.offline import name_expressions
 from myoface.errors import ApiError
+from solver.animation.blendshapes import Blendshapes, Solved
+from solver.fitting.face import Pose
+from solver.mechanics.flesh import IDENTITY
 from solver.meshio.registered import write_registered
 from solver.rig import Rig
+from solver.scans.live_link import FaceTake, write_signals
 from tests.command_line import Told, invoke
 from tests.solver.block import head_block
 
@@ -123,11 +127,23 @@ def test_scenes_and_assets_that_are_none(
     assert not (tmp_path / "played").exists()
 
 
-def test_a_table_is_refused_as_a_video_before_anything_is_played(tmp_path: Path) -> None:
-    table = tmp_path / "signals.csv"
-    rig = tmp_path / "rig.npz"
-    table.write_text("Timecode,BlendshapeCount\n", encoding="utf-8")
-    rig.write_bytes(b"")
-    told = invoke(["transfer", str(table), "--rig", str(rig), "-o", str(tmp_path / "left")])
-    assert told.exit_code == 2
-    assert "signals.csv is no video" in told.stderr
+@pytest.mark.long
+def test_signals_are_played_again_without_their_video(rig: Path, tmp_path: Path) -> None:
+    model = head_block((7, 5, 1))
+    resting = Pose(np.array([IDENTITY] * model.muscle_count), np.zeros(5))
+    solved = Blendshapes(model.muscle_names, {"jawOpen": Solved(resting, 0.1)})
+    solved.save(tmp_path / "shapes.npz", model, model.weights)
+    times = np.arange(3) / 25.0
+    still = np.zeros((3, 3))
+    seen = np.ones(3, bool)
+    take = FaceTake(times, np.zeros((3, 52)), still, np.zeros((3, 2, 3)), seen, "video")
+    out = tmp_path / "played"
+    out.mkdir()
+    signals = out / "signals.csv"  # in the folder that is filled: it stays
+    write_signals(signals, take)
+    shapes = ["--blendshapes", str(tmp_path / "shapes.npz")]
+    told = invoke(["transfer", str(signals), "--rig", str(rig), "-o", str(out), *shapes])
+    assert told.exit_code == 0, told.output
+    assert "3 frames played; in the whole recording 3 with a face" in " ".join(told.output.split())
+    assert signals.is_file()
+    assert not (out / "transfer.png").exists()

@@ -54,6 +54,7 @@ ASKED: Mapping[str, list[tuple[list[str], dict[str, str]]]] = {
     "own_scans": [(["--scans", "smile.obj"], {})],
     "assets": [(["--asset", "soft=map.npy"], {})],
     "sequences": [],
+    "signals": [],
     "photos": [
         (["--photo", "smile=face.jpg"], {}),
         (["--facts", "smile=face.json"], {}),

@@ -70,6 +70,7 @@ def test_points_are_found_with_a_landmarker(
     saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("MYOFACE_FACE_LANDMARKER", raising=False)
+    monkeypatch.setenv("MYOFACE_CACHE", str(tmp_path / "cache"))
     assert "MYOFACE_FACE_LANDMARKER" in run("points", saved, code=2)
     found = FoundPoints(TWO_POINTS, pictures=360, with_face=359, left_out={"58": np.inf})
     monkeypatch.setattr("solver.photo.mesh_points.find_points", lambda *_, **__: found)

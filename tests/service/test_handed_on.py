@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from sqlalchemy import update
+from sqlalchemy import delete, update
 
 from service.settings import Settings
 from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, Artifact, Job
+from solver import jobs
+from solver.jobs import Task
 from solver.kinds import FILES, KINDS
+from solver.progress import silent
+from solver.scans.recordings import SIGNALS_FILE
 from tests.service_client import Studio, served
+from worker.solve import solve
 
 SCENE = {"options": {"scene": {"performance": {"asset": "sequence"}}}}
 
@@ -303,6 +310,20 @@ def test_what_a_live_session_sent_reaches_the_jobs_of_its_takes(session: Session
         assert session.sources(job)["live_takes"] == live
 
 
+def test_what_was_measured_of_a_video_is_a_recording_of_later_jobs(session: Session) -> None:
+    clip = session.studio._add(session.subject, "filmed", "asset", {})
+    filmed = {"options": {"scene": {"recording": {"asset": "filmed"}}}, "captures": [clip]}
+    first = session.left("animate", "signals.csv", "animation.glb", **filmed)
+    signals = {"job": first, "artifact": "signals.csv"}
+    scene = {"options": {"scene": {"recording": {"asset": "signals", "gain": 1.3}}}}
+    answer = session.ask("animate", signals, **scene)
+    assert answer.status_code == 201, answer.text
+    assert ("asset", "signals", "signals.csv") in session.inputs(answer.json()["id"])
+    refused = session.ask("simulate", signals, options={"scene": {}})
+    assert refused.json()["code"] == "artifact.not_an_input"
+    assert KINDS["animate"].hands_on[-1] == SIGNALS_FILE
+
+
 def test_every_file_that_is_handed_on_is_an_input_of_some_kind() -> None:
     read = {each for kind in KINDS.values() for each in kind.reads}
     left = {name for kind in KINDS.values() for name in kind.hands_on}
@@ -331,12 +352,18 @@ def test_the_texture_of_the_neutral_s_registration_is_found(session: Session) ->
     named = [{"job": newer, "artifact": "texture.png"}]
     job = session.studio.submit("build_studio_rig", subject, rig_id=rig, from_jobs=named)
     assert session.sources(job)["texture"] == newer
+    # where the model's own left none, the same scan registered again has it
+    with session.store.write() as rows:
+        same = (Artifact.job_id == register, Artifact.name == "texture.png")
+        rows.execute(delete(Artifact).where(*same))
+    job = session.studio.submit("build_studio_rig", subject, rig_id=rig)
+    assert session.sources(job)["texture"] == newer
     # a person whose neutral came registered has none
     other = session.ask("build_studio_rig", rig_id=session.rig).json()["id"]
     assert "texture" not in session.sources(other)
 
 
-def test_normals_of_the_neutral_are_found_and_wrinkles_are_named(session: Session) -> None:
+def test_normals_and_wrinkles_of_the_rig_s_expressions_are_found(session: Session) -> None:
     subject = session.studio.post("/v1/subjects", name="Alex")["id"]
     raw = session.studio.raw(subject, "neutral-in-detail", role="neutral")
     register = session.studio.submit("register_scan", subject, captures=[raw])
@@ -353,12 +380,66 @@ def test_normals_of_the_neutral_are_found_and_wrinkles_are_named(session: Sessio
     session.studio.pretend(made, session.stored("model.npz"))
     fit = session.studio.submit("fit_geometry", subject, captures=[smile])
     told = {"subject_id": subject, "model_job_id": made}
+    told["expressions"] = ["smile-in-detail"]
     session.studio.pretend(fit, session.stored("rig.npz"), rig=told)
     rig = session.studio.job(fit)["result"]["rig_id"]
-    named = [{"job": moved, "artifact": "wrinkle_normals.png", "name": "smile"}]
-    job = session.studio.submit("build_studio_rig", subject, rig_id=rig, from_jobs=named)
-    assert session.sources(job)["normals"] == register
-    assert session.sources(job)["asset"] == moved
+    wrinkle = "wrinkle_normals.png"
+    leaves = session.stored("registered.ply") | session.stored(wrinkle)
+
+    def left(scan: str) -> str:
+        job: str = session.studio.submit("register_scan", subject, captures=[scan])
+        session.studio.pretend(job, leaves)
+        return job
+
+    def maps(*named: dict[str, str]) -> list[tuple[str, str]]:
+        made = session.studio.submit("build_studio_rig", subject, rig_id=rig, from_jobs=[*named])
+        assert session.sources(made)["normals"] == register
+        with session.store.read() as rows:
+            inputs = rows.get_one(Job, made).inputs
+        return [(each["name"], each["of"]) for each in inputs if each["role"] == "wrinkles"]
+
+    assert maps() == [("smile-in-detail", moved)]
+    newer = left(smile)
+    frown = left(session.studio.raw(subject, "frown-in-detail", role="expression"))
+    assert maps() == [("smile-in-detail", newer)]  # no other expression is the rig's
+    # what is named stands instead
+    named = [
+        {"job": each, "artifact": wrinkle, "name": name}
+        for each, name in ((moved, "smile-in-detail"), (frown, "browDownLeft"))
+    ]
+    assert maps(*named) == [("smile-in-detail", moved), ("browDownLeft", frown)]
+    assert maps(named[1]) == [("browDownLeft", frown)]
+    # a neutral that is registered again is no longer what those lie upon
+    session.studio.pretend(
+        session.studio.submit("register_scan", subject, captures=[raw]),
+        {"registered.ply": session.store.files.put(Path(pytest.__file__)).sha256},
+    )
+    left(smile)
+    assert maps() == [("smile-in-detail", newer)]
+
+
+def test_a_worker_hands_wrinkle_maps_to_their_job_by_their_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: dict[str, Path] = {}
+
+    def run(task: Task[Any]) -> list[Path]:
+        seen.update(task.captures)
+        (task.out / KINDS["build_studio_rig"].report).write_text("{}")
+        return []
+
+    monkeypatch.setattr(jobs, "import_module", lambda _name: SimpleNamespace(run=run))
+    items = []
+    for name in ("smile", "frown"):
+        path = tmp_path / name / "wrinkle_normals.png"
+        path.parent.mkdir()
+        path.touch()
+        role = FILES[path.name].role
+        items.append({"role": role, "name": name, "path": str(path)})
+    job = {"kind": "build_studio_rig", "inputs": items, "options": {}, "resume": False}
+    (tmp_path / "job.json").write_text(json.dumps(job))
+    solve(tmp_path, silent)
+    assert seen == {each["name"]: Path(each["path"]) for each in items}
 
 
 def test_tracks_are_built_with_the_registered_scans_that_are_named(session: Session) -> None:

@@ -220,7 +220,8 @@ class Batch(Owned, Base):
 class Worker(Base):
     """A living worker process and what it can do: ``slots`` jobs of ``kinds`` at a time.
 
-    Each job may take ``memory_mb`` and has ``threads``.
+    Each job may take ``memory_mb`` and has ``threads``. ``lacks`` has what is missing of finding
+    faces in pictures: ``av``, ``mediapipe``, ``landmarker``; None: its release does not say.
     """
 
     __tablename__ = "workers"
@@ -229,6 +230,7 @@ class Worker(Base):
     host: Mapped[str] = mapped_column(String(255), default="")
     version: Mapped[str] = mapped_column(String(32), default="")
     kinds: Mapped[list[Any]] = mapped_column(default=list)
+    lacks: Mapped[list[Any] | None]
     memory_mb: Mapped[int] = mapped_column(default=0)
     threads: Mapped[int] = mapped_column(default=0)
     slots: Mapped[int] = mapped_column(default=0)

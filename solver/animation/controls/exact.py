@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from solver.animation import FrameChanges
 from solver.animation.blendshapes import DrivenShapes, ShapedPose
-from solver.errors import SolveError
+from solver.errors import InputError, SolveError, quote_names
 from solver.fitting.activation import unseen_regulariser
 from solver.fitting.face import Face, Pose
 from solver.fitting.interior_point import FeasibleSet
@@ -136,7 +136,13 @@ def fit_frames(
     ``motions`` are the shapes' (k, 3) on the face, mm; ``limits`` those within which the shapes'
     poses are played. A fit begins at the frame before where that
     was fitted as well, else at the shapes' own pose. ``listen`` hears of the number that are done.
+    Raises :class:`InputError` (``controls.model``) for shapes that have no motion.
     """
+    if strangers := [name for name in shapes.names if name not in motions]:
+        names = ", ".join(quote_names(strangers))
+        reason = f"the template has no {names}, which the controls were learned of"
+        advice = "give that template, or learn the controls again"
+        raise InputError("controls.model", f"{reason}: {advice}", found=strangers)
     tracker = MixtureTracker(face, np.array([motions[name] for name in shapes.names]))
     muscles = len(face.model.muscle_names)
     activations = np.zeros((len(weights), muscles, 6))

@@ -31,6 +31,7 @@ def test_shapes_are_the_muscles_and_have_arkit_s_names(
     told = json.loads((tmp_path / "studio.json").read_text())
     assert set(told["shapes"]) == set(NAMES)
     assert told["not_settled_in_contact"] == []
+    assert [each["code"] for each in told["notices"]] == ["studio.no_texture"]
     assert told["shapes_worst_mm"] < 0.3
     assert set(told["shapes"]["jawOpen"]["joints"]) == {"jaw"}
     assert "joints" not in told["shapes"]["mouthSmileLeft"]

@@ -270,7 +270,8 @@ def test_a_photograph_without_landmarks_says_how_to_give_them(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("MYOFACE_FACE_LANDMARKER", raising=False)
+    monkeypatch.setenv("MYOFACE_CACHE", str(tmp_path / "cache"))
     given = {"rig": files / "rig.npz", "tracks": files / "tracks.npz"}
-    with pytest.raises(InputError, match="front has no landmarks") as error:
+    with pytest.raises(InputError, match=r"front has no .* myoface assets fetch landm") as error:
         run_job("fit_photo", tmp_path, captures={"front": files / "front.jpg"}, **given)
     assert error.value.code == "landmarks.model"

@@ -27,6 +27,7 @@ from solver.mechanics.flesh import IDENTITY
 from solver.rig import ExpressionFit, Rig
 from solver.scans.live_link import ARKIT_NAMES
 from solver.storage import Archive
+from solver.templates.ict_facekit import arkit_source
 from tests.solver.block import head_block, thinner
 from tests.solver.jobs.test_scenes import skins
 
@@ -158,6 +159,7 @@ def test_a_recording_plays_by_learned_exact_and_doubted_controls(
     assert "blendshapes" not in told
     told = animated(tmp_path / "exact", rig, {"controls": "exact"})
     assert told["transfer"]["exact"] == len(FRAMES)
+    assert told["transfer"]["controls"] == "exact"
     told = animated(tmp_path / "doubted", rig, {"exact_above_mm": 0.0}, controls=controls)
     assert told["transfer"]["flagged"] == told["transfer"]["exact"] > 0
     by_learning, exact, doubted = (
@@ -171,6 +173,31 @@ def test_a_recording_plays_by_learned_exact_and_doubted_controls(
         np.testing.assert_allclose(arrays["weights"], FRAMES, atol=1e-6)
         assert arrays["doubt_mm"].shape == arrays["exact"].shape == (len(FRAMES),)
         assert (arrays["doubt_mm"][1:] > 0.0).all()
+
+
+@pytest.mark.usefixtures("played")
+def test_shapes_that_the_template_lacks_are_named(
+    rig: Path,
+    learned: Path,
+    template: SimpleNamespace,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shapes = template.shapes
+    fewer = ShapeBasis(shapes.identity, shapes.expressions[1:], NAMES[1:])
+    for job in (animate, blendshapes):
+        monkeypatch.setattr(job, "read_template", lambda _: SimpleNamespace(shapes=fewer))
+    scene = {"exact_above_mm": 0.0}
+    with pytest.raises(InputError, match=NAMES[0]) as raised:
+        animated(tmp_path / "learned", rig, scene, controls=learned / "controls.npz")
+    assert raised.value.code == "controls.model"
+    told = animated(tmp_path / "blended", rig, {"controls": "blended"})
+    assert told["transfer"]["controls"] == "blended"
+    lacking = arkit_source(NAMES[0])
+    assert lacking in told["transfer"]["unseen_shapes"]
+    assert arkit_source(NAMES[1]) not in told["transfer"]["unseen_shapes"]
+    (notice,) = told["notices"]
+    assert (notice["code"], notice["found"]) == ("recording.shapes", [lacking])
 
 
 @pytest.mark.usefixtures("played")

@@ -118,7 +118,7 @@ def test_a_recording_is_known_by_what_it_holds(files: dict[str, Path], tmp_path:
         assert np.allclose(data["jaw"], opened[:, None] * OPEN, atol=1e-6)
         assert np.allclose(data["head"][-1, :3], [0.0, -0.3, 0.0], atol=1e-6)
     report = json.loads((out / "animation.json").read_text())
-    told = {"format": "openface", "seen": 3, "gaps": 1, "longest_gap_s": 0.2}
+    told = {"format": "openface", "seen": 3, "gaps": 1, "longest_gap_s": 0.2, "controls": "tracks"}
     assert report["transfer"].items() >= told.items()
     assert "jawOpen" not in report["transfer"]["unseen_shapes"]
     assert [notice["code"] for notice in report["notices"]] == ["openface.gaps"]

@@ -129,6 +129,7 @@ def test_the_model_of_the_detector_is_asked_for(
 ) -> None:
     film = filmed(tmp_path / "film.mp4")
     monkeypatch.delenv("MYOFACE_FACE_LANDMARKER", raising=False)
+    monkeypatch.setenv("MYOFACE_CACHE", str(tmp_path))
     assert "myoface assets fetch landmarker" in refused(film, "video.model")
     renamed = film.rename(tmp_path / "film.csv")  # what it is its content says
     assert "myoface assets fetch landmarker" in refused(renamed, "video.model")

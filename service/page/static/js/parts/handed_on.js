@@ -10,7 +10,9 @@ export const MARKER_SET = "markers.json";
 // Jobs that are offered with a file of a name, the newest
 const MOST = 5;
 // Inputs that are chosen here; others a job finds by itself
-const CHOSEN = ["markers", "sequences"];
+const CHOSEN = ["markers", "sequences", "signals"];
+// Those that a scene names
+const NAMED = ["sequences", "signals"];
 
 /**
  * Return the fields in which files of earlier jobs are chosen for a job of `kind`, and what reads
@@ -52,7 +54,7 @@ function row({ job, artifact, input, words }, given) {
   const box = h("input", { type: "checkbox", checked: Boolean(known) });
   const usual = artifact.replace(/\.[^.]*$/, "");
   const name =
-    input === "sequences" &&
+    NAMED.includes(input) &&
     h("input", { type: "text", value: known?.name ?? usual, "aria-label": `What a scene calls ${words}` });
   const field = name && h("div", {}, h("span", { class: "fine" }, "What the scene calls it"), name);
   return {

@@ -27,6 +27,9 @@ const PICTURES = {
   "studio.png": "Some shapes of the rig",
 };
 
+/** What an animation measured of a video: a recording itself. */
+const SIGNALS = "signals.csv";
+
 /** Images that a rig wears: shown on it. */
 const WORN = /^studio_.*\.png$/;
 
@@ -55,6 +58,7 @@ export function resultPanel(job, signal) {
     isPlaced && h("p", {}, h("a", { class: "button", href: `/markers/${job.id}` }, "Place the markers"), " ", goOn("Fit the take", () => fitTake(job))),
     has("sequence.npz") && h("p", {}, playOnRig(job), " ", goOn("Play it in a scene", () => playInScene(job))),
     has("animation.glb") && h("p", {}, playOnRig(job)),
+    has(SIGNALS) && h("p", {}, goOn("Play its signals again", () => playSignals(job))),
     studioPlace(job, signal),
     films.map((artifact) => film(artifact, signal)),
     pictures.map((artifact) => picture(artifact, PICTURES[artifact.name] ?? artifact.name, signal)),
@@ -106,6 +110,15 @@ function playInScene(job) {
   const drive = ["T", "B"].includes(job.result.summary?.system) ? { drive: "tracks" } : {};
   const options = { scene: { ...drive, performance: { asset: "sequence" } } };
   return { kind: "simulate", ...of(job), from_jobs: left, options };
+}
+
+/** The same scene by what was measured of its video, which is not looked at again. */
+function playSignals(job) {
+  const { scene } = job.options;
+  const options = { ...job.options, scene: { ...scene, recording: { ...scene.recording, asset: "signals" } } };
+  delete options.scene.recording.face; // which was meant in the video
+  const left = [{ job: job.id, artifact: SIGNALS }];
+  return { kind: "animate", ...of(job), captures: job.captures, from_jobs: left, options };
 }
 
 function of({ subject_id, rig_id }) {
