@@ -10,6 +10,7 @@ import numpy as np
 
 from solver.anatomy.template import ShapeBasis
 from solver.animation.blendshapes import Blendshapes, Solved, expression_targets, solve_blendshapes
+from solver.fitting.drives.stored import are_same
 from solver.fitting.expression_basis import FILE as BASIS_FILE
 from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held
@@ -39,8 +40,8 @@ def person_blendshapes(task: Task[Any], rig: Rig) -> Blendshapes:
     shapes = None
     if "blendshapes" in task.inputs:
         shapes = Blendshapes.load(task.inputs["blendshapes"], model, S)
-    if shapes is not None and shapes.drive != rig.drive:  # solved by a release without limits
-        shapes = None
+    if shapes is not None and not are_same(shapes.drive, rig.drive):
+        shapes = None  # solved by a release without limits
     if shapes is None or shapes.outdated:
         shapes = _solve(task, rig, kept, shapes.shapes if shapes else {})
     shapes.save(kept, model, S)
@@ -74,7 +75,7 @@ def _solve(task: Task[Any], rig: Rig, kept: Path, given: Mapping[str, Solved]) -
     done = dict(given)
     if task.resume and kept.is_file():
         known = Blendshapes.load(kept, model, S)
-        done.update(known.shapes if known.drive == rig.drive else {})
+        done.update(known.shapes if are_same(known.drive, rig.drive) else {})
 
     def report(name: str, solved: Solved) -> None:
         done[name] = solved

@@ -16,6 +16,7 @@ from solver.animation.controls import Controls
 from solver.errors import InputError
 from solver.fitting.contraction import Contraction
 from solver.fitting.drives.admissible import ADMISSIBLE
+from solver.fitting.drives.stored import are_same
 from solver.fitting.expression_basis import FILE as BASIS_FILE
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose
@@ -166,8 +167,8 @@ class LiveFace:
         controls = None
         if "controls" in files:
             controls = Controls.load(files["controls"], rig.model, rig.weights)
-            if controls.drive != rig.drive:  # learned by a release with other limits
-                controls = None
+            if not are_same(controls.drive, rig.drive):
+                controls = None  # learned by a release with other limits
         return cls(rig, face, live, basis, landmark_points(template), controls)
 
 

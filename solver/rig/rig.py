@@ -179,8 +179,9 @@ class Rig:
                     for name, about in dict(header.get("systems", {})).items()
                 },
             )
-            drive = restore(header["drive"]) if "drive" in header else rig._find_drive()
-            return replace(rig, drive=drive)
+            if "drive" not in header:
+                return replace(rig, drive=rig._find_drive())
+            return replace(rig, drive=restore(header["drive"], model, rig.weights))
 
     @classmethod
     def _load_0_1(cls, files: Mapping[str, Path]) -> Rig:
