@@ -98,6 +98,19 @@ def usual_options(model: SubjectModel) -> RecruitmentOptions:
     return RecruitmentOptions() if model.trained is None else TRAINED
 
 
+def why_none(face: Face) -> str:
+    """Return why nothing is expected of a face's muscles, in words; "" if something is."""
+    shapes = face.model.expressions
+    if shapes is None:
+        return "the model keeps no expressions of its template"
+    if face.layout.drive.penalty is None:
+        return f"the muscles are driven by {face.drive.name}, which has no shapes of muscles"
+    muscles = face.model.muscle_names
+    if not any(any(find_called(muscles, name)[0]) for name in shapes.names):
+        return "none of the template's expressions has a unit of FACS that its muscles make"
+    return ""
+
+
 @dataclass(frozen=True, eq=False)
 class Recruitment:
     """Who makes the template's expressions on a person, and units that none of them shows.
@@ -110,6 +123,7 @@ class Recruitment:
     ``options.hurdle`` by the sizes of motions.
     """
 
+    names: tuple[str, ...]  # (e,)
     motions: NDArray[np.floating]
     named: NDArray[np.bool_]
     opposed: NDArray[np.bool_]
@@ -128,10 +142,8 @@ class Recruitment:
         ``options`` are by default those of :func:`usual_options`.
         """
         model = face.model
-        shapes = face.model.expressions
-        if shapes is None or face.layout.drive.penalty is None:
-            return None
-        if not any(any(find_called(model.muscle_names, name)[0]) for name in shapes.names):
+        shapes = model.expressions
+        if shapes is None or why_none(face):
             return None
         chosen = options or usual_options(model)
         unshown = predict_units(face)
@@ -144,7 +156,7 @@ class Recruitment:
         rest = model.skin.vertices[model.face]
         priors = FibrePriors.of_face(face, chosen.small, chosen.closers)
         mirrored = _mirror_numbers(names)
-        return cls(motions, named, opposed, rest, mirrored, shown, priors, chosen)
+        return cls(names, motions, named, opposed, rest, mirrored, shown, priors, chosen)
 
     def of_target(self, target: Target) -> Recruited:
         """Return what a target calls for."""
@@ -196,6 +208,14 @@ class Recruitment:
             left = motion - amounts @ rows
         return amounts, max(1.0 - float(left @ left) / whole, 0.0)
 
+    def explained_by(self, target: Target, chosen: NDArray[np.bool_]) -> float:
+        """Return the part of a target's squared motion that ``chosen`` (e,) expressions explain."""
+        seen = self._seen(target)
+        rows = seen.rows[chosen]
+        motion = seen.of_points(target.points - self.rest)
+        left = motion - _least_amounts(_root(rows @ rows.T), rows @ motion) @ rows
+        return max(1.0 - float(left @ left) / max(float(motion @ motion), TINY), 0.0)
+
     def _seen(self, target: Target) -> _SeenMotions:
         """Return the motions as a target sees them: those of the one before if it sees alike."""
         for before in self._last:
@@ -224,9 +244,7 @@ class _SeenMotions:
         """Return how a target sees ``motions`` (e, k, 3), of which some are ``shown`` (e,)."""
         rows = _seen_by(target.weights, target.normals, motions).reshape(len(motions), -1)
         square = rows @ rows.T
-        parts = (square, square[np.ix_(shown, shown)])
-        # rows that are sums of others, or are not seen, are left where they are
-        roots = [np.linalg.cholesky(it + 1e-9 * np.trace(it) * np.eye(len(it))) for it in parts]
+        roots = _root(square), _root(square[np.ix_(shown, shown)])
         return cls(target.weights, target.normals, rows, np.linalg.norm(rows, axis=1), *roots)
 
     def is_of(self, target: Target) -> bool:
@@ -429,6 +447,14 @@ class EvenSides(Prior):
         """Return R_p (a_j, a_j') of every pair (p, 7)."""
         # at rest both sides are alike, and so the controls themselves will do
         return np.asarray(np.einsum("prk,pk->pr", self.rows, pose.vector()[self.places]))
+
+
+def _root(square: Floats) -> Floats:
+    """Return the Cholesky factor of what rows have in common.
+
+    Rows that are sums of others, or are not seen, are left where they are.
+    """
+    return np.linalg.cholesky(square + 1e-9 * np.trace(square) * np.eye(len(square)))
 
 
 def _least_amounts(root: Floats, slopes: Floats) -> Floats:

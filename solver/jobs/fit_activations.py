@@ -36,8 +36,9 @@ def run(task: Task[FitActivations]) -> list[Path]:
     face = parent.face(given.linear_solver or fastest())
     check_held(face)
     knowledge = fits.read_known_scans(task, face, scans)
+    targets = fits.Targets(subject, given.distance).of_scans(scans)
     log = fits.WarningLog(subject, progress)
-    oddities = fits.find_oddities(face, scans, drive)
+    oddities = fits.find_oddities(face, scans, targets, drive)
     for fit in carried:
         if fit.name in scans:
             oddities += check_replaced(subject, fit.name, fit.target, scans[fit.name])
@@ -48,7 +49,6 @@ def run(task: Task[FitActivations]) -> list[Path]:
         oddities += fallback.warn_of_slowness(face)
     log.warn(0.02, oddities)
     stop = replace(UNSEEN_STOP, max_iterations=given.max_iterations)
-    targets = fits.Targets(subject, given.distance).of_scans(scans)
     begin = time.perf_counter()
     fitted = fits.fit_unseen(
         face, scans, targets, log, fits.JobPart(0.02, 0.5), knowledge, stop, given.solver

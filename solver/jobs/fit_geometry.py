@@ -64,7 +64,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     if structures:
         priors["structure"] = sp.csr_array(sp.vstack(structures))
     log = fits.WarningLog(subject, progress)
-    oddities = fits.find_oddities(face, scans, drive)
+    oddities = fits.find_oddities(face, scans, targets, drive)
     if len(scans) == 1:
         message = (
             "the muscle geometry is fitted to one expression: it will follow that one and say "

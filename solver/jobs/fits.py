@@ -27,6 +27,7 @@ from solver.fitting.geometry_information import MuscleInformation
 from solver.fitting.known import NOTHING_KNOWN, FaceMuscles, find_disagreements
 from solver.fitting.least_squares import Listener
 from solver.fitting.objective import Target
+from solver.fitting.recruitment_checks import check_recruitment
 from solver.fitting.target_checks import after_fit, before_fit, find_inflated, idle_muscles
 from solver.jobs import Task
 from solver.kinds.kind import Distance, ExpressionFitOptions
@@ -115,10 +116,18 @@ def read_known_scans(
 
 
 def find_oddities(
-    face: Face, scans: Mapping[str, RegisteredScan], drive: MuscleDrive
+    face: Face,
+    scans: Mapping[str, RegisteredScan],
+    targets: Mapping[str, Target],
+    drive: MuscleDrive,
 ) -> list[Finding]:
-    """Return what is odd about a face and scans before they are fitted by a drive."""
-    found = [*idle_muscles(face), *before_fit(face.model, scans), *drive.lacks(face.model)]
+    """Return what is odd about a face and scans, with their targets, before a drive fits them."""
+    found = [
+        *idle_muscles(face),
+        *before_fit(face.model, scans),
+        *check_recruitment(face, targets),
+        *drive.lacks(face.model),
+    ]
     if drive.loosen(0.0) is not None and face.model.jaw.tracks is None:
         message = "the model has no tracks of its condyles, so that its jaw is free: build it again"
         found.append(make_warning("model.no_tracks", message))
