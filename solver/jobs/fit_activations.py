@@ -64,6 +64,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
     expressions = (*kept, *fitted)
     systems = fits.carried_systems(parent, scans)
     whole = Rig(subject, face.S, expressions, seconds, log.general, drive=drive, systems=systems)
+    whole = replace(whole, rounds=parent.rounds)
     same = not any(fit.name in scans for fit in trained)
     information = known_information(parent) if same else None
     return fits.leave_rig(face, whole, settings, task.out, part_of(progress, 0.5), information)

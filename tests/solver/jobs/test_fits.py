@@ -103,6 +103,14 @@ def test_admissible_controls_keep_muscles_to_what_they_can_do(files: Path, tmp_p
         run_job("fit_geometry", out, options=options, captures=scan, **model)
         report = json.loads((out / "report.json").read_text())
         assert report["settings"]["controls"] == controls
+        rounds = report["rounds"]
+        assert [each["number"] for each in rounds[:3]] == [1, 2, 3]
+        loosened = [each["loosened"] for each in rounds]
+        assert loosened[:3] == [None] * 3
+        assert (loosened[-1] == 0.0) == (controls == "admissible")
+        for each in rounds:
+            assert each["mean_mm"] > 0.0 < each["objective"]
+            assert 0.0 <= each["seconds"] < report["seconds"]["geometry"]
         muscles = report["expressions"]["swollen"]["muscles"]
         beyond[controls] = [name for name, found in muscles.items() if found["faults"]]
         volume = {name: found["volume"] for name, found in muscles.items()}
@@ -128,6 +136,8 @@ def test_admissible_controls_keep_muscles_to_what_they_can_do(files: Path, tmp_p
             rig=tmp_path / "free" / "rig.npz",
         )
         report = json.loads((out / "report.json").read_text())
+        # those of the fit that S is of
+        assert len(report["rounds"]) == 3
         found = report["expressions"]["swollen"]
         means.append(found["mean_mm"])
         volumes.append(max(each["volume"] for each in found["muscles"].values()))
