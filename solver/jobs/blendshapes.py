@@ -15,7 +15,7 @@ from solver.fitting.expression_basis import FILE as BASIS_FILE
 from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, read_template
-from solver.jobs.fits import solve_basis
+from solver.jobs.fits import JobPart, solve_basis
 from solver.jobs.scenes import READ
 from solver.mechanics.linear import fastest
 from solver.progress import Step
@@ -96,9 +96,5 @@ def _solve(task: Task[Any], rig: Rig, kept: Path, given: Mapping[str, Solved]) -
 def _known_changes(task: Task[Any], face: Face, shapes: ShapeBasis | None) -> dict[str, Floats]:
     """Return name -> the change of the controls that makes an expression about."""
     assert shapes is not None, "there are targets, so the template has shapes"
-
-    def show(done: float) -> None:
-        task.progress(Step("expressions", READ + (BASIS - READ) * done))
-
-    basis = solve_basis(task, face, shapes.expressions, show)
+    basis = solve_basis(task, face, shapes.expressions, JobPart(READ, BASIS))
     return dict(zip(shapes.expression_names, basis.whole, strict=True))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,7 +20,7 @@ from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
 from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.drives.stored import store
 from solver.fitting.expression_basis import FILE as BASIS_FILE
-from solver.fitting.expression_basis import ExpressionBasis
+from solver.fitting.expression_basis import OTHER, ExpressionBasis
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit, Solver
 from solver.fitting.geometry_information import MuscleInformation
@@ -352,22 +352,36 @@ class WarningLog:
 
 
 def known_basis(
-    task: Task[Any], face: Face, shapes: NDArray[np.floating]
+    task: Task[Any], face: Face, shapes: NDArray[np.floating], fraction: float
 ) -> ExpressionBasis | None:
-    """Return the basis that an earlier attempt or an earlier job left; None if it is of others."""
+    """Return the basis that an earlier attempt or an earlier job left, if one did.
+
+    One of another face or of other shapes is none; why is told when ``fraction`` of the job is
+    done.
+    """
     kept = task.out / BASIS_FILE
     known: Path | None = task.inputs.get("expression_basis")
     if task.resume and kept.is_file():
         known = kept
-    return ExpressionBasis.load(known, face, shapes) if known else None
+    try:
+        return ExpressionBasis.load(known, face, shapes) if known else None
+    except InputError as error:
+        if error.code != OTHER:
+            raise
+        task.progress(Step("warning", fraction, message=f"{error.message}: it is not used"))
+        return None
 
 
 def solve_basis(
-    task: Task[Any], face: Face, shapes: NDArray[np.floating], listen: Callable[[float], None]
+    task: Task[Any], face: Face, shapes: NDArray[np.floating], span: JobPart
 ) -> ExpressionBasis:
-    """Return the known basis, else solve it; it is left for later jobs."""
-    basis = known_basis(task, face, shapes)
+    """Return the known basis, else solve it in a ``span`` of the job; it is left for later jobs."""
+    basis = known_basis(task, face, shapes, span.start)
     if basis is None:
-        basis = ExpressionBasis.solve(face, shapes, listen=listen)
+
+        def show(part: float) -> None:
+            task.progress(Step("expressions", span.at(part)))
+
+        basis = ExpressionBasis.solve(face, shapes, listen=show)
     basis.save(task.out / BASIS_FILE, face)
     return basis

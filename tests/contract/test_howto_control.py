@@ -59,7 +59,6 @@ face = rig.face()
 assert type(face.drive).__name__ == "Shortening"
 np.testing.assert_array_equal(rig.expression("smile").activations, [0.1, 0.2])
 basis = ExpressionBasis.load(Path("basis.npz"), face, np.load("shapes.npy"))
-assert basis is not None
 assert np.abs(basis.whole[:, face.layout.muscles]).max() > 1e-4
 """
 
