@@ -40,17 +40,25 @@ class RecruitmentLimits:
     one_sided: tuple[str, ...] = ("contempt",)
 
 
+def check_expected(face: Face) -> list[Finding]:
+    """Return whether nothing is expected of the muscles of a face, whatever is fitted."""
+    reason = why_none(face)
+    if not reason:
+        return []
+    message = (
+        f"{reason}: no muscle is expected to pull in any expression, so that more of them do than "
+        "anatomy says"
+    )
+    return [make_warning("recruitment.none", message)]
+
+
 def check_recruitment(
     face: Face, targets: Mapping[str, Target], limits: RecruitmentLimits = RecruitmentLimits()
 ) -> list[Finding]:
     """Return what is odd about what the muscles of a face are expected to do in ``targets``."""
     recruitment = Recruitment.of_face(face)
     if recruitment is None:
-        message = (
-            f"{why_none(face)}: no muscle is expected to pull in any expression, so that more of "
-            "them do than anatomy says"
-        )
-        return [make_warning("recruitment.none", message)]
+        return check_expected(face)
     found = []
     for name, target in targets.items():
         motion = (target.points - recruitment.rest)[target.weights > 0.0]
