@@ -48,11 +48,16 @@ Fit = TypeVar("Fit", bound=ExpressionFit)
 def asked_drive(options: ExpressionFitOptions, own: MuscleDrive | None = None) -> MuscleDrive:
     """Return the drive that a job asks for; if it asks for none ``own``, else an admissible one.
 
-    IPOPT knows no bounds, so that it fits free muscles unless others are asked for.
+    IPOPT knows no bounds, so that it fits free muscles unless others are asked for. Raises
+    :class:`InputError` (``rig.drive``) where a rig's own drive is no six numbers a muscle.
     """
     if options.controls == "free" or (options.controls is None and options.solver == "ipopt"):
         return SixNumbers()
     if own and options.controls is None and "plausibility" not in options.model_fields_set:
+        if not isinstance(own, SixNumbers):
+            message = f"the rig is driven by {own.name}, and the job fits six numbers a muscle"
+            expected = ["free", "admissible"]
+            raise InputError("rig.drive", f"{message}: give controls", expected=expected)
         return own
     return Admissible(limits_by_plausibility(options.plausibility))
 

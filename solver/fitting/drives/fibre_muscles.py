@@ -75,4 +75,16 @@ class FibreDrive(MuscleDrive, name="fibres"):
         cls, settings: Mapping[str, Any], model: SubjectModel, S: sp.csr_array
     ) -> FibreDrive:
         arrays = {name: np.asarray(values) for name, values in settings["muscles"].items()}
-        return cls(FibreMuscles(**arrays), Curve(**settings["curve"]))
+        muscles = FibreMuscles(**arrays)
+        entries = len(muscles.tets)
+        numbers = (
+            (muscles.tets, entries, len(model.tets)),
+            (muscles.muscles, entries, len(muscles.strengths)),
+            (muscles.sources, len(muscles.strengths), model.muscle_count),
+        )
+        for which, count, most in numbers:
+            if which.shape != (count,) or not np.isin(which, np.arange(most)).all():
+                raise ValueError("they are not of the model's tets and muscles")
+        if muscles.fractions.shape != (entries,) or muscles.fibres.shape != (entries, 3):
+            raise ValueError("its arrays do not fit each other")
+        return cls(muscles, Curve(**settings["curve"]))

@@ -21,12 +21,12 @@ def store(drive: MuscleDrive) -> dict[str, Any]:
     return {"name": drive.name, **drive.settings()}
 
 
-def restore(stored: Mapping[str, Any], model: SubjectModel, S: sp.csr_array) -> MuscleDrive:
+def restore(stored: Any, model: SubjectModel, S: sp.csr_array) -> MuscleDrive:
     """Return the drive that :func:`store` wrote, of the muscles of a model with S.
 
     Raises :class:`InputError` (``rig.drive``) for one that this release does not know.
     """
-    name = str(stored.get("name"))
+    name = str(stored.get("name")) if isinstance(stored, Mapping) else ""
     known = _known()
     if name not in known:
         message = f"the rig is driven by {quote(name)}, which this release does not know"
@@ -34,7 +34,7 @@ def restore(stored: Mapping[str, Any], model: SubjectModel, S: sp.csr_array) -> 
     settings = {key: value for key, value in stored.items() if key != "name"}
     try:
         return known[name].restored(settings, model, S)
-    except (LookupError, TypeError, ValueError) as error:
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
         message = f"the rig's drive, {name}, has no such settings: {error}"
         raise InputError("rig.drive", message, found=quote(name)) from error
 

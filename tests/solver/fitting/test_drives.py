@@ -70,12 +70,28 @@ def test_a_file_brings_it_back(driven):
 
 
 @pytest.mark.parametrize(
-    "kept", [{}, {"name": "telepathy"}, {"name": "admissible", "limits": {"reach": 3.0}}]
+    "kept",
+    [
+        {},
+        [3],
+        {"name": "telepathy"},
+        {"name": "admissible", "limits": {"reach": 3.0}},
+        {"name": "fibres", "muscles": 3, "curve": {}},
+    ],
 )
 def test_what_no_drive_is_is_told(kept):
     model = fibred_block()
     with pytest.raises(InputError) as error:
         restore(kept, model, model.weights)
+    assert error.value.code == "rig.drive"
+
+
+def test_fibres_of_other_tets_are_told():
+    face = Face(fibred_block())
+    kept = store(FibreDrive(fibre_muscles(face)))
+    kept["muscles"]["tets"][-1] = len(face.model.tets)
+    with pytest.raises(InputError, match="not of the model's tets") as error:
+        restore(kept, face.model, face.S)
     assert error.value.code == "rig.drive"
 
 

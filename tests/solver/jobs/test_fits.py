@@ -12,6 +12,7 @@ import pytest
 
 from solver.errors import InputError, SolveError
 from solver.fitting import fallback, geometry
+from solver.fitting.drives.fibre_contraction import FibreContraction
 from solver.fitting.face import Face, Pose
 from solver.fitting.reference import NotConvergedError, ReferenceSolution
 from solver.jobs import run_job
@@ -71,6 +72,19 @@ def warnings(steps: list[Step]) -> list[str | None]:
     messages = [step.message for step in steps if step.phase == "warning"]
     assert "keeps no expressions" in str(messages[0])
     return messages[1:]
+
+
+def test_a_rig_of_another_drive_is_refused_unless_controls_are_given(
+    files: Path, tmp_path: Path
+) -> None:
+    fibred = replace(MODEL, fibres=np.tile([1.0, 0.0, 0.0], (MODEL.weights.nnz, 1)))
+    rig = tmp_path / "rig.npz"
+    Rig(fibred, fibred.weights, (), drive=FibreContraction(fibred)).save(rig)
+    with pytest.raises(InputError, match="driven by contraction") as caught:
+        activations(files, tmp_path / "out", "wide", rig=rig, options={"controls": None})
+    assert caught.value.code == "rig.drive"
+    report, _ = activations(files, tmp_path / "out", "wide", rig=rig)
+    assert report["settings"]["controls"] == "free"
 
 
 def test_an_artifact_is_named_with_region_and_vertex(files: Path, tmp_path: Path) -> None:
