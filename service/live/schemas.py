@@ -11,7 +11,7 @@ from service.jobs.schemas import FromJob, JobError
 from service.queue.states import State
 from service.schemas import Id, RequestBody, View
 from service.store.models import Job
-from solver.kinds.live_session import LiveSession, Source
+from solver.kinds.live_session import LiveSessionOptions, Source
 
 
 class NewSession(RequestBody):
@@ -84,7 +84,7 @@ class SessionView(View):
     def of(cls, job: Job) -> Self:
         """Show a session."""
         shown = {name: getattr(job, name, None) for name in cls.model_fields}
-        options = LiveSession.model_validate(job.request["options"])
+        options = LiveSessionOptions.model_validate(job.request["options"])
         request = {"rig_id": job.request["rig_id"], "source": options.source}
         return cls.model_validate({**shown, **request})
 

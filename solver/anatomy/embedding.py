@@ -106,26 +106,23 @@ def shares_in_tets(points: Floats, vertices: Floats, corners: Ints, inside: Floa
 # flesh ends. From lashes and tear film an edge goes to the skin wherever they touch it.
 
 
+TOUCH_MM = 1.0  # lashes hang on skin that is nearer
+
+
 class LooseSkin:
     """The vertices ``ids`` (k,) of a model's skin that hang on flesh by edges, but lie on none.
 
-    ``fade_mm`` is the length l: a mouth opened wide takes the neck along by centimetres. Lashes
-    hang on skin that is nearer than ``touch_mm``. Vertices that are ``still`` are displaced by
-    nothing.
+    ``fade_mm`` is the length l: a mouth opened wide takes the neck along by centimetres.
+    Vertices that are ``still`` are displaced by nothing.
     """
 
     def __init__(
-        self,
-        model: SubjectModel,
-        *,
-        fade_mm: float = 60.0,
-        touch_mm: float = 1.0,
-        still: Ints | None = None,
+        self, model: SubjectModel, *, fade_mm: float = 60.0, still: Ints | None = None
     ) -> None:
         skin = model.skin.vertices
         faces = model.skin.faces
         self._count = len(skin)
-        edges = _edges(model, touch_mm)
+        edges = _edges(model)
         _, part = connected_components(edges, directed=False)
         hangs = np.isin(part, part[model.embedded])
         hangs[model.embedded] = hangs[model.attached_mandible] = False
@@ -165,14 +162,14 @@ class LooseSkin:
         return out
 
 
-def _edges(model: SubjectModel, touch_mm: float) -> sp.csr_array:
+def _edges(model: SubjectModel) -> sp.csr_array:
     """Return the graph (V, V) of the skin's edges, and of those by which lashes hang on it."""
     skin = model.skin.vertices
     faces = model.skin.faces
     of_lashes = skin_parts(model.skin).get("lashes", np.empty(0, np.int64))
     lashes = np.unique(faces[of_lashes])
     distance, near = cKDTree(skin[model.embedded]).query(skin[lashes])
-    touch = distance < touch_mm
+    touch = distance < TOUCH_MM
     ends = lashes[touch], model.embedded[near[touch]]
     roots = sp.csr_array((np.ones(len(ends[0])), ends), shape=(len(skin),) * 2)
     return sp.csr_array(adjacency(faces, len(skin)) + roots + roots.T)

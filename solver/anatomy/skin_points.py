@@ -53,7 +53,7 @@ class SkinPoints(SkinSamples):
         return self.select([name for name in self.names if name.isdecimal()])
 
     def select(self, names: list[str]) -> SkinPoints:
-        """Return those of the points that have these names, in their order."""
+        """Return the points of these names, in their order."""
         rows = [self._rows[name] for name in names]
         offsets = None if self.offsets is None else self.offsets[rows]
         samples = (self.corners[rows], self.weights[rows])

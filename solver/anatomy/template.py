@@ -284,7 +284,7 @@ class Compartments:
 
     @classmethod
     def read(cls, cut: str, names: str) -> Compartments | None:
-        """Return those of two cells of a table, names between semicolons; None if both are empty.
+        """Read compartments from two cells of a table, names between semicolons; None if empty.
 
         :data:`AGAIN` stands between cuts, and between their names. Raises :class:`ValueError` in
         words.

@@ -214,7 +214,8 @@ class Blendshapes:
         try:
             muscles = tuple(header["muscles"])
             shapes = {}
-            drive = restore(header.get("drive", store(SixNumbers())))  # those before had no limits
+            # those before had no limits
+            drive = restore(header.get("drive", store(SixNumbers())), model, S)
             for row, name in enumerate(header["names"]):
                 a, b, mean, settled = (data[key][row] for key in STORED)
                 shapes[name] = Solved(Pose(a, b), float(mean), bool(settled))

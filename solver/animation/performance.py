@@ -286,7 +286,7 @@ def _muscles_of(
 def _factors(
     given: Mapping[str, float], what: str, entry: PerformanceEntry, muscles: Sequence[str]
 ) -> Floats:
-    """Return every muscle's factor (m,): its own, or that of the muscle that it is a part of."""
+    """Return a factor for every muscle (m,); a compartment without one has its whole muscle's."""
     check_muscles(given, muscles, f"{what} of the performance {entry.asset!r}")
     factors = by_muscle(given, muscles)
     return np.array([factors.get(name, 1.0) for name in muscles])

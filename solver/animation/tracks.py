@@ -41,7 +41,7 @@ class TrackedShapes(DrivenShapes):
 
     @classmethod
     def of(cls, model: SubjectModel, tracks: MuscleTracks) -> TrackedShapes:
-        """Return those of a model's tracks."""
+        """Drive a model's tracks by the names of their shapes."""
         return cls(tracks, TrackTargets(model, tracks))
 
     @property

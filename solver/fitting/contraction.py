@@ -48,12 +48,12 @@ class Contraction:
 
     @classmethod
     def of(cls, model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Contraction:
-        """Return that of a model's muscles with the flesh of S; ``volumes`` (n,) of tets."""
+        """Measure contractions along a model's fibres, as S blends them over tets' ``volumes``."""
         return cls(fibre_tensors(model, volumes, S))
 
     @classmethod
     def of_face(cls, face: Face) -> Contraction | None:
-        """Return that of a face's muscles; None for those that S does not drive."""
+        """Measure contractions of a face's muscles; None if these have no shapes S(a)."""
         if face.layout.drive.penalty is None:  # no shapes S(a)
             return None
         return cls.of(face.model, face.flesh.volumes, face.S)

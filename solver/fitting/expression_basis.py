@@ -18,7 +18,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from solver.errors import SolveError
+from solver.errors import InputError, SolveError
 from solver.fitting.activation import ActivationOptions, fit, rest_curvature, unseen_regulariser
 from solver.fitting.drives.stored import store
 from solver.fitting.face import Face, PosedFace
@@ -32,6 +32,15 @@ from solver.surface import Floats, Ints
 
 FILE = "expression_basis.npz"
 FORMAT = FILES[FILE].format
+OTHER = "basis.other"
+# by the parts of a basis's identity
+OTHER_PARTS = {
+    "model": "another person, or of another build of this one",
+    "weights": "a rig with another muscle geometry",
+    "drive": "muscles with other controls or limits",
+    "joints": "another kind of jaw",
+    "shapes": "other expressions than the template's",
+}
 
 
 @dataclass(frozen=True)
@@ -106,22 +115,28 @@ class ExpressionBasis:
         Archive({"format": FORMAT, "of": basis_identity(face, self.shapes)}, arrays).write(path)
 
     @classmethod
-    def load(cls, path: Path, face: Face, shapes: NDArray[np.floating]) -> ExpressionBasis | None:
-        """Return what :meth:`save` wrote of a face and shapes; None if it is of others.
+    def load(cls, path: Path, face: Face, shapes: NDArray[np.floating]) -> ExpressionBasis:
+        """Return what :meth:`save` wrote of a face and shapes.
 
-        Raises :class:`~solver.errors.InputError`: ``basis.unreadable``, ``basis.format``.
+        Raises :class:`InputError`: ``basis.unreadable``, ``basis.format``, and :data:`OTHER` if it
+        is of another face or of other shapes.
         """
         archive = Archive.read(path, "basis", "a basis of expressions", FORMAT)
+        of = archive.header.get("of", {})
+        for part, wanted in basis_identity(face, shapes).items():
+            if of.get(part) != wanted:
+                message = f"{path.name} is of {OTHER_PARTS[part]}"
+                raise InputError(OTHER, message, file=path.name)
         counts, changes = (archive.arrays.get(name) for name in ("counts", "changes"))
         if (
-            archive.header.get("of") != basis_identity(face, shapes)
-            or counts is None
+            counts is None
             or changes is None
+            or counts.shape != (len(shapes),)
+            or changes.shape != (counts.sum(), face.layout.size)
+            or not np.isfinite(changes).all()
         ):
-            return None
-        fits = counts.shape == (len(shapes),) and changes.shape == (counts.sum(), face.layout.size)
-        if not fits or not np.isfinite(changes).all():
-            return None
+            message = f"{path.name} has not the changes of {len(shapes)} expressions"
+            raise InputError("basis.unreadable", message, file=path.name)
         return cls(shapes, tuple(np.split(changes, np.cumsum(counts)[:-1])))
 
 

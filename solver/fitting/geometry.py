@@ -24,7 +24,7 @@ from solver.fitting.activation import ActivationOptions, rest_curvature
 from solver.fitting.drives import MuscleDrive
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit
-from solver.fitting.joint import GeometryProblem, Iterate, Listener
+from solver.fitting.joint import EndListener, GeometryProblem, Iterate, Listener
 from solver.fitting.known import NOTHING_KNOWN, FaceMuscles
 from solver.fitting.least_squares import Listener as StepListener
 from solver.fitting.objective import Regulariser, Target, Term
@@ -79,6 +79,16 @@ class GeometryOptions:
             return self.rounds
         way = self.shortened_tightening
         return self.rounds + len(way.loosened) + way.rounds
+
+    def loosened_in(self, number: int) -> float | None:
+        """Return the part by which bounds are loosened in round ``number`` (from 0).
+
+        It is 0 within the bounds themselves, and None before there are any.
+        """
+        parts = self.shortened_tightening.loosened
+        if self.within is None or number < self.rounds:
+            return None
+        return dict(enumerate(parts, self.rounds)).get(number, 0.0)
 
     @property
     def shortened_tightening(self) -> TighteningOptions:
@@ -137,6 +147,7 @@ def fit(
     recruited: Mapping[str, Recruited] = NOBODY,
     known: Mapping[str, KnownMuscles] = NOTHING_KNOWN,
     listen: Listener | None = None,
+    ended: EndListener | None = None,
 ) -> GeometryFit:
     """Fit S, activations and jaws to all data, from S ``start`` and the rest pose.
 
@@ -173,14 +184,14 @@ def fit(
         def problem_of(number: int, terms: Mapping[str, Term] = terms) -> GeometryProblem:
             return _problem(face, terms, options, number, structure, recruited, known)
 
-        now, taken = joint.minimise_rounds(problem_of, now, rounds, rules, listen)
+        now, taken = joint.minimise_rounds(problem_of, now, rounds, rules, listen, ended=ended)
         steps += taken
     if options.within is not None:
         face = face.driven_by(options.within)
         newest = face.with_weights(replace_values(face.S, now.values))
         number = options.rounds - 1
         problem = _problem(face, data, options, number, structure, recruited, known, newest)
-        now, taken = _tighten(problem, now, options, listen)
+        now, taken = _tighten(problem, now, options, listen, ended)
         steps += taken
     found = face.with_weights(replace_values(face.S, now.values))
     settled = replace(options, even=1.0)
@@ -196,18 +207,21 @@ def _start(face: Face, options: GeometryOptions) -> sp.csr_array:
 
 
 def _tighten(
-    problem: GeometryProblem, now: Iterate, options: GeometryOptions, listen: Listener | None
+    problem: GeometryProblem,
+    now: Iterate,
+    options: GeometryOptions,
+    listen: Listener | None,
+    ended: EndListener | None,
 ) -> tuple[Iterate, int]:
     """Go on within bounds that close on those of the problem's drive, and count the rounds."""
     first = options.rounds
     way = options.shortened_tightening
-    parts = way.loosened
-    closed = first + len(parts)
+    closed = first + len(way.loosened)
 
     def enter(number: int, now: Iterate) -> Iterate:
         # along the fibres of the newest S
         face = problem.shape.face(now.values)
-        loosened = face.drive.loosen(parts[number - first] if number < closed else 0.0)
+        loosened = face.drive.loosen(options.loosened_in(number) or 0.0)
         face = face if loosened is None else face.driven_by(loosened)
 
         def bring(name: str) -> PosedFace:
@@ -223,7 +237,9 @@ def _tighten(
     # while bounds close a round need not gain anything
     for rounds, tolerance in ((range(first, closed), -np.inf), (last, way.tolerance)):
         rules = joint.RoundOptions(options.retries, tolerance)
-        now, more = joint.minimise_rounds(lambda _: problem, now, rounds, rules, listen, enter)
+        now, more = joint.minimise_rounds(
+            lambda _: problem, now, rounds, rules, listen, enter, ended
+        )
         taken += more
     return now, taken
 

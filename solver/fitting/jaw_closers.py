@@ -62,7 +62,7 @@ class SilentClosers(SquaredPrior):
 
     @classmethod
     def of_face(cls, face: Face, options: CloserOptions = CloserOptions()) -> SilentClosers:
-        """Return that of a face's muscles, at its price; without fibres none is kept silent."""
+        """Make the price of a face's muscles that close the jaw; none pays without fibres."""
         model = face.model
         closers = action_units()[options.closed_by].antagonists
         found = face.contractions

@@ -19,6 +19,7 @@ goes a shorter way with every round.
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -148,6 +149,20 @@ class RoundOptions:
 Listener = Callable[[int, Mapping[str, PosedFace]], None]
 
 
+@dataclass(frozen=True)
+class RoundEnd:
+    """What a round came to."""
+
+    number: int  # from 0
+    objective: float  # f, mm^2
+    states: Mapping[str, PosedFace]
+    seconds: float
+
+
+# called as a round ends
+EndListener = Callable[[RoundEnd], None]
+
+
 def minimise_rounds(
     problem_of: Callable[[int], GeometryProblem],
     now: Iterate,
@@ -155,6 +170,7 @@ def minimise_rounds(
     options: RoundOptions,
     listen: Listener | None = None,
     enter: Callable[[int, Iterate], Iterate] | None = None,
+    ended: EndListener | None = None,
 ) -> tuple[Iterate, int]:
     """Return the iterate after ``rounds`` on the problem of each, and how many it took.
 
@@ -162,6 +178,7 @@ def minimise_rounds(
     """
     idle = taken = 0
     for number in rounds:
+        begin = time.perf_counter()
         if enter:
             now = enter(number, now)
         if listen:
@@ -170,7 +187,10 @@ def minimise_rounds(
         before = problem.value(now.values, now.states)
         now = _round(problem, now, options.retries)
         taken = taken + 1
-        gain = before - problem.value(now.values, now.states)
+        after = problem.value(now.values, now.states)
+        if ended:
+            ended(RoundEnd(number, after, now.states, time.perf_counter() - begin))
+        gain = before - after
         idle = idle + 1 if gain < options.tolerance * before else 0
         if idle == 2:
             break

@@ -146,7 +146,10 @@ class FaceMuscles:
         return np.unique(np.concatenate(own)) if own else np.array([], dtype=np.int64)
 
     def regularise(self, known: KnownMuscles, expected: Regulariser) -> Regulariser:
-        """Return a regulariser with what is known, from one that expects nothing of these."""
+        """Expect the contractions that a table knows of muscles, beside what ``expected`` does.
+
+        ``expected`` says nothing of these muscles itself.
+        """
         if not len(known):
             return expected
         rest = self.face.layout.drive.rest

@@ -1,46 +1,75 @@
-"""Recruitment: which muscles an expression calls for, and what the others pay to take part.
+"""Recruitment: which muscles a scan calls for, and what the others pay to take part.
 
-Position says next to nothing about who pulls: an inverse fit of a finite-element face to markers of
-the lips had activations that correlated by 0.27 and 0.20 with simulated and measured ones (Eskes et
-al., Scientific Reports 7, 2017). What skin does not tell anatomy does: the template's expressions
-carry action units of FACS, and each unit names muscles (:mod:`solver.anatomy.action_units`). A scan
-is about a sum of them,
+The skin alone hardly tells which muscle pulls: an inverse fit of a finite-element face to markers
+of the lips had activations that correlated by 0.27 and 0.20 with simulated and measured ones (Eskes
+et al., Scientific Reports 7, 2017). Anatomy tells more. The expressions of a template consist of
+action units of FACS, and each unit names the muscles that make it, and those that it works against
+(:mod:`solver.anatomy.action_units`).
 
-    t ~ rest + sum_e u_e motion_e,    u_e >= 0,
+In goes a face, whose model keeps its template's expressions, and a target, the points of one scan.
+Out comes what is expected of each muscle in that scan (:class:`Recruited`). The fit of the scan
+then has this in the place of its plain price w_a/2 |a_j - I|^2, where a_j are the six numbers of
+muscle j, I those at rest, and w_a is a weight. Of the symbols below hurdle, called, contraction,
+price, opposed, effort, small, even and strict are fields of :class:`RecruitmentOptions`. There are
+four steps.
 
-by least squares. A unit that none of them shows has the motion that flesh makes of it
-(:mod:`solver.fitting.predicted_units`), for lack of a better one: it costs ``hurdle`` |l|
-|motion_e| u_e, l being what the expressions leave, so that it takes part if its cosine to that is
-greater than ``hurdle``, and has none where they explain the scan. A scan calls for muscle j by c_j,
-the greatest u_e / ``called`` of those that name it, 1 at most; d_j is the same of those whose units
-it works against. In its fit
+1. How much of each expression is in the scan? Its points t are nearly
 
-    w_a/2 price_j^r |a_j - m_j|^2,    price_j = price opposed^(d_j (1 - c_j)),
+    t = rest + sum_e u_e motion_e,    u_e >= 0.
 
-takes the place of w_a/2 |a_j - I|^2: m_j is the shape of a muscle whose fibres have shortened by
-the part ``contraction`` u_j of their length, its volume kept, u_j being the greatest u_e of those
-that name it, 1 at most. r is the part of the scan's motion that the sum explains: what nobody's
-expression is, anybody may make.
+Expression e moves the face by motion_e, and u_e is its amount, 1 at full strength. The amounts are
+found by non-negative least squares over what the scan shows. The part of |t - rest|^2 that the sum
+explains is r, from 0 to 1.
 
-That price is quadratic, so that it is least where every muscle does a little. A linear one leaves
-the work to few (both are criteria of load sharing: Crowninshield and Brand 1981, "A physiologically
-based criterion of muscle force prediction in locomotion"). With its contraction k_j along the
-fibres (:class:`~solver.fitting.drives.ContractionMap`) a muscle also pays
+Some units are in no expression. Their motions are predicted (:mod:`.predicted_units`) and less
+certain, so that their amounts cost: where l is what the expressions leave of the scan, the least
+squares have the further term hurdle |l| |motion_e| u_e. Such a unit takes part only if the
+cosine between its motion and l is greater than hurdle.
+
+2. Which muscles does the scan call for? For each muscle j there are three numbers from 0 to 1,
+
+    u_j = min(1, max_e u_e),
+    c_j = min(1, max_e u_e / called),
+    d_j = min(1, max_e u_e / called).
+
+The first two are over the expressions with a unit that names muscle j: u_j is how strongly it is
+asked to pull, c_j how surely it takes part. d_j is over those with a unit that works against it.
+
+3. What is muscle j expected to do, and what does anything else cost?
+
+    w_a/2 price_j^r |a_j - m_j|^2,    price_j = price opposed^(d_j (1 - c_j)).
+
+m_j are the six numbers of a muscle whose fibres have shortened by the part contraction u_j of
+their length while it keeps its volume. So a muscle that nothing calls for is expected at rest. An
+antagonist of what is called for pays most. Where the expressions explain nothing (r = 0) nobody
+pays more than w_a: what is no known expression anybody may make.
+
+This price is quadratic, so that it is least where every muscle does a little. A linear price leaves
+the work to few; both are criteria of load sharing (Crowninshield and Brand 1981, "A physiologically
+based criterion of muscle force prediction in locomotion"). So a muscle that is not called for also
+pays for its contraction k_j along its fibres (:class:`~solver.fitting.drives.ContractionMap`),
 
     w_a effort r (1 - c_j) (sqrt(k_j^2 + small^2) - small).
 
-What a scan shows alike on both sides is made alike by both: with muscle j' on the other side of j,
-and M a_j' for its activation in the mirror,
+It is linear but for contractions below small, where it is smooth. Gauss-Newton steps take a
+parabola in its place, which touches it at k_j and is above it elsewhere.
 
-    w_a/2 even r sum_jj' v_jj' (|a_j - M a_j'|^2 + (k_j - k_j')^2),
-    v_jj' = 1 - |u_j - u_j'| / max(u_j, u_j').
+4. Do both sides do the same? For pairs of a muscle j and its counterpart j' on the other side,
 
-As far as nothing calls for either, 1 - max(c_j, c_j'), it goes by how alike both sides are as a
-whole: 1 - sum_e |u_e - u_e'| / sum_e u_e, 0 at least, to the power ``strict``, e' being the same
-expression of the other side. A mesh is not its own mirror image, and neither are fibres in it, so
-that like activations alone are no like contractions.
+    w_a/2 even r sum_jj' v_jj' (|a_j - M a_j'|^2 + (k_j - k_j')^2).
 
-What closes the jaw is silent while it is open, whatever a scan calls for
+M turns an activation into its mirror image. Contractions are compared as well, because neither a
+mesh nor the fibres in it are their own mirror images. v_jj', from 0 to 1, is how alike the scan
+calls for both:
+
+    v_jj' = b (1 - |u_j - u_j'| / max(u_j, u_j')) + (1 - b) s^strict,    b = max(c_j, c_j'),
+    s = max(0, 1 - sum_e |u_e - u_e'| / sum_e u_e),
+
+where e' is expression e on the other side, and s is how alike both sides of the scan are as a
+whole. That decides for pairs that nothing calls for (b = 0): in a one-sided smile they need not be
+alike.
+
+Muscles that close the jaw are silent while it is open, whatever the scan calls for
 (:mod:`solver.fitting.jaw_closers`).
 """
 
@@ -98,6 +127,19 @@ def usual_options(model: SubjectModel) -> RecruitmentOptions:
     return RecruitmentOptions() if model.trained is None else TRAINED
 
 
+def why_none(face: Face) -> str:
+    """Return why nothing is expected of a face's muscles, in words; "" if something is."""
+    shapes = face.model.expressions
+    if shapes is None:
+        return "the model keeps no expressions of its template"
+    if face.layout.drive.penalty is None:
+        return f"the muscles are driven by {face.drive.name}, which has no shapes of muscles"
+    muscles = face.model.muscle_names
+    if not any(any(find_called(muscles, name)[0]) for name in shapes.names):
+        return "none of the template's expressions has a unit of FACS that its muscles make"
+    return ""
+
+
 @dataclass(frozen=True, eq=False)
 class Recruitment:
     """Who makes the template's expressions on a person, and units that none of them shows.
@@ -110,6 +152,7 @@ class Recruitment:
     ``options.hurdle`` by the sizes of motions.
     """
 
+    names: tuple[str, ...]  # (e,)
     motions: NDArray[np.floating]
     named: NDArray[np.bool_]
     opposed: NDArray[np.bool_]
@@ -122,16 +165,13 @@ class Recruitment:
 
     @classmethod
     def of_face(cls, face: Face, options: RecruitmentOptions | None = None) -> Recruitment | None:
-        """Return that of a face; None where nothing is known of its muscles, or S drives none.
+        """Read from a face's model who makes which expression; None where :func:`why_none` says so.
 
-        Models have no expressions that were made before they had, or of a template without any.
         ``options`` are by default those of :func:`usual_options`.
         """
         model = face.model
-        shapes = face.model.expressions
-        if shapes is None or face.layout.drive.penalty is None:
-            return None
-        if not any(any(find_called(model.muscle_names, name)[0]) for name in shapes.names):
+        shapes = model.expressions
+        if shapes is None or why_none(face):
             return None
         chosen = options or usual_options(model)
         unshown = predict_units(face)
@@ -144,10 +184,10 @@ class Recruitment:
         rest = model.skin.vertices[model.face]
         priors = FibrePriors.of_face(face, chosen.small, chosen.closers)
         mirrored = _mirror_numbers(names)
-        return cls(motions, named, opposed, rest, mirrored, shown, priors, chosen)
+        return cls(names, motions, named, opposed, rest, mirrored, shown, priors, chosen)
 
     def of_target(self, target: Target) -> Recruited:
-        """Return what a target calls for."""
+        """Return what is expected of every muscle in a target."""
         options, (amounts, explained) = self.options, self.amounts(target)
         shares = np.minimum(amounts / options.called, 1.0)[:, None]
         called, against = ((shares * each).max(axis=0) for each in (self.named, self.opposed))
@@ -196,8 +236,16 @@ class Recruitment:
             left = motion - amounts @ rows
         return amounts, max(1.0 - float(left @ left) / whole, 0.0)
 
+    def explained_by(self, target: Target, chosen: NDArray[np.bool_]) -> float:
+        """Return the part of a target's squared motion that ``chosen`` (e,) expressions explain."""
+        seen = self._seen(target)
+        rows = seen.rows[chosen]
+        motion = seen.of_points(target.points - self.rest)
+        left = motion - _least_amounts(_root(rows @ rows.T), rows @ motion) @ rows
+        return max(1.0 - float(left @ left) / max(float(motion @ motion), TINY), 0.0)
+
     def _seen(self, target: Target) -> _SeenMotions:
-        """Return the motions as a target sees them: those of the one before if it sees alike."""
+        """Return the motions as a target sees them, which many targets do alike."""
         for before in self._last:
             if before.is_of(target):
                 return before
@@ -224,9 +272,7 @@ class _SeenMotions:
         """Return how a target sees ``motions`` (e, k, 3), of which some are ``shown`` (e,)."""
         rows = _seen_by(target.weights, target.normals, motions).reshape(len(motions), -1)
         square = rows @ rows.T
-        parts = (square, square[np.ix_(shown, shown)])
-        # rows that are sums of others, or are not seen, are left where they are
-        roots = [np.linalg.cholesky(it + 1e-9 * np.trace(it) * np.eye(len(it))) for it in parts]
+        roots = _root(square), _root(square[np.ix_(shown, shown)])
         return cls(target.weights, target.normals, rows, np.linalg.norm(rows, axis=1), *roots)
 
     def is_of(self, target: Target) -> bool:
@@ -260,11 +306,11 @@ class Recruited:
     priors: FibrePriors
 
     def on(self, face: Face) -> Recruited:
-        """Return the same of the muscles of ``face``, which has another S."""
+        """Expect the same of the muscles of ``face``, whose S gives them other fibres."""
         return replace(self, priors=self.priors.on(face))
 
     def without(self, muscles: Ints) -> Recruited:
-        """Return what is expected if nothing is of ``muscles`` (k,), as a table knows of them."""
+        """Expect nothing of ``muscles`` (k,), of which a table knows more."""
         price = self.price.copy()
         contraction = self.contraction.copy()
         effort = self.effort.copy()
@@ -276,7 +322,7 @@ class Recruited:
         return replace(self, price=price, contraction=contraction, effort=effort, priors=priors)
 
     def regularise(self, plain: Regulariser) -> Regulariser:
-        """Return a regulariser that expects this of muscles, from one that expects them at rest."""
+        """Put these expectations in the place of a ``plain`` regulariser's, of muscles at rest."""
         priors = self.priors
         prior = replace(plain.prior, a=priors.shortened(self.contraction))
         unit = float(np.min(plain.w_a))
@@ -302,9 +348,9 @@ class FibrePriors:
 
     @classmethod
     def of_face(cls, face: Face, small: float, closers: CloserOptions) -> FibrePriors:
-        """Return those of a face's muscles, which are at rest and cost nothing yet.
+        """Make the priors of a face's muscles, with weights of 0 for effort.
 
-        ``small`` is that of :class:`Effort`.
+        ``small`` is the contraction below which the price of effort is quadratic.
         """
         tensors = fibre_tensors(face.model, face.flesh.volumes, face.S)
         fibred = np.flatnonzero(np.isfinite(tensors[:, 0, 0]))
@@ -314,7 +360,7 @@ class FibrePriors:
         return cls(fibred, isochoric, EvenSides.of_face(face), effort, silent)
 
     def on(self, face: Face) -> FibrePriors:
-        """Return those of another face, by the same options."""
+        """Make the priors of another face, with the same options."""
         return FibrePriors.of_face(face, self.effort.small, self.closers.options)
 
     def shortened(self, contraction: Floats) -> Floats:
@@ -344,7 +390,7 @@ class Effort(Prior):
 
     @classmethod
     def of_face(cls, face: Face, small: float) -> Effort:
-        """Return that of a face's muscles, which costs nothing yet; without fibres none does."""
+        """Make the price of a face's muscles, with weights of 0; without fibres none ever pays."""
         places = face.layout.muscles
         found = face.contractions
         rates = np.zeros(places.shape) if found is None else np.nan_to_num(found.rates)
@@ -397,7 +443,7 @@ class EvenSides(Prior):
 
     @classmethod
     def of_face(cls, face: Face) -> EvenSides:
-        """Return those of muscles that have one of their name on the other side, of weight 1."""
+        """Pair the muscles of a face with those of their names on the other side, weights of 1."""
         pairs = mirrored_pairs(face.model.muscle_names)
         places = face.layout.muscles[pairs].reshape(len(pairs), -1)
         rows = np.zeros((len(pairs), 7, 12))
@@ -429,6 +475,14 @@ class EvenSides(Prior):
         """Return R_p (a_j, a_j') of every pair (p, 7)."""
         # at rest both sides are alike, and so the controls themselves will do
         return np.asarray(np.einsum("prk,pk->pr", self.rows, pose.vector()[self.places]))
+
+
+def _root(square: Floats) -> Floats:
+    """Return the Cholesky factor of what rows have in common.
+
+    Rows that are sums of others, or are not seen, are left where they are.
+    """
+    return np.linalg.cholesky(square + 1e-9 * np.trace(square) * np.eye(len(square)))
 
 
 def _least_amounts(root: Floats, slopes: Floats) -> Floats:

@@ -114,7 +114,7 @@ class IsochoricActivations:
 
     @classmethod
     def of(cls, tensors: Floats) -> IsochoricActivations:
-        """Return that of muscles with ``tensors`` T (m, 3, 3)."""
+        """Make the activations of muscles from their fibres' ``tensors`` T (m, 3, 3)."""
         values, axes = np.linalg.eigh(tensors)
         deviators = values - values.mean(axis=1, keepdims=True)
         return cls(1.5 * deviators / values.max(axis=1, keepdims=True), np.asarray(axes))

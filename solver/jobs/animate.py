@@ -16,6 +16,7 @@ from solver.animation.controls.exact import ShapesAtRest, fit_frames
 from solver.animation.lids import Lids, PlayedLids
 from solver.animation.tracks import TrackedShapes
 from solver.errors import InputError, make_warning, quote_names
+from solver.fitting.drives.stored import are_same
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, read_template
 from solver.jobs.blendshapes import SOLVED, left_files, person_blendshapes, tell_blendshapes
@@ -226,7 +227,7 @@ def _shapes_of(task: Task[Animate], rig: Rig, played: _Played) -> DrivenShapes:
         raise InputError("controls.missing", reason)
     if asked != "blended" and "controls" in task.inputs:
         learned = Controls.load(task.inputs["controls"], model, rig.weights)
-        if learned.drive == rig.drive:
+        if are_same(learned.drive, rig.drive):
             played.transfer["controls"] = "learned"
             return learned
         reason = "its muscles were kept to other limits than the rig's: learn its controls again"

@@ -10,11 +10,12 @@ import numpy as np
 
 from solver.anatomy.template import ShapeBasis
 from solver.animation.blendshapes import Blendshapes, Solved, expression_targets, solve_blendshapes
+from solver.fitting.drives.stored import are_same
 from solver.fitting.expression_basis import FILE as BASIS_FILE
 from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, read_template
-from solver.jobs.fits import solve_basis
+from solver.jobs.fits import JobPart, solve_basis
 from solver.jobs.scenes import READ
 from solver.mechanics.linear import fastest
 from solver.progress import Step
@@ -39,8 +40,8 @@ def person_blendshapes(task: Task[Any], rig: Rig) -> Blendshapes:
     shapes = None
     if "blendshapes" in task.inputs:
         shapes = Blendshapes.load(task.inputs["blendshapes"], model, S)
-    if shapes is not None and shapes.drive != rig.drive:  # solved by a release without limits
-        shapes = None
+    if shapes is not None and not are_same(shapes.drive, rig.drive):
+        shapes = None  # solved by a release without limits
     if shapes is None or shapes.outdated:
         shapes = _solve(task, rig, kept, shapes.shapes if shapes else {})
     shapes.save(kept, model, S)
@@ -74,7 +75,7 @@ def _solve(task: Task[Any], rig: Rig, kept: Path, given: Mapping[str, Solved]) -
     done = dict(given)
     if task.resume and kept.is_file():
         known = Blendshapes.load(kept, model, S)
-        done.update(known.shapes if known.drive == rig.drive else {})
+        done.update(known.shapes if are_same(known.drive, rig.drive) else {})
 
     def report(name: str, solved: Solved) -> None:
         done[name] = solved
@@ -95,9 +96,5 @@ def _solve(task: Task[Any], rig: Rig, kept: Path, given: Mapping[str, Solved]) -
 def _known_changes(task: Task[Any], face: Face, shapes: ShapeBasis | None) -> dict[str, Floats]:
     """Return name -> the change of the controls that makes an expression about."""
     assert shapes is not None, "there are targets, so the template has shapes"
-
-    def show(done: float) -> None:
-        task.progress(Step("expressions", READ + (BASIS - READ) * done))
-
-    basis = solve_basis(task, face, shapes.expressions, show)
+    basis = solve_basis(task, face, shapes.expressions, JobPart(READ, BASIS))
     return dict(zip(shapes.expression_names, basis.whole, strict=True))

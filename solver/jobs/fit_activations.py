@@ -36,8 +36,9 @@ def run(task: Task[FitActivations]) -> list[Path]:
     face = parent.face(given.linear_solver or fastest())
     check_held(face)
     knowledge = fits.read_known_scans(task, face, scans)
+    targets = fits.Targets(subject, given.distance).of_scans(scans)
     log = fits.WarningLog(subject, progress)
-    oddities = fits.find_oddities(face, scans, drive)
+    oddities = fits.find_oddities(face, scans, targets, drive)
     for fit in carried:
         if fit.name in scans:
             oddities += check_replaced(subject, fit.name, fit.target, scans[fit.name])
@@ -48,7 +49,6 @@ def run(task: Task[FitActivations]) -> list[Path]:
         oddities += fallback.warn_of_slowness(face)
     log.warn(0.02, oddities)
     stop = replace(UNSEEN_STOP, max_iterations=given.max_iterations)
-    targets = fits.Targets(subject, given.distance).of_scans(scans)
     begin = time.perf_counter()
     fitted = fits.fit_unseen(
         face, scans, targets, log, fits.JobPart(0.02, 0.5), knowledge, stop, given.solver
@@ -64,6 +64,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
     expressions = (*kept, *fitted)
     systems = fits.carried_systems(parent, scans)
     whole = Rig(subject, face.S, expressions, seconds, log.general, drive=drive, systems=systems)
+    whole = replace(whole, rounds=parent.rounds)
     same = not any(fit.name in scans for fit in trained)
     information = known_information(parent) if same else None
     return fits.leave_rig(face, whole, settings, task.out, part_of(progress, 0.5), information)

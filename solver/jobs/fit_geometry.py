@@ -15,6 +15,7 @@ from solver.fitting import geometry
 from solver.fitting.contact import terms
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.geometry import GeometryFit, GeometryOptions
+from solver.fitting.joint import RoundEnd
 from solver.fitting.objective import Target, distances
 from solver.fitting.recruitment import recruit
 from solver.fitting.simplex import mirror_structure, smooth_structure, transfer
@@ -25,6 +26,7 @@ from solver.model import SubjectModel
 from solver.progress import ProgressCallback, Step, part_of
 from solver.rig import Rig
 from solver.rig.report.measures import check_neutral
+from solver.rig.rig import FitRound
 from solver.scans.known_activations import NOTHING
 
 # of rounds whose mean grows
@@ -64,7 +66,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     if structures:
         priors["structure"] = sp.csr_array(sp.vstack(structures))
     log = fits.WarningLog(subject, progress)
-    oddities = fits.find_oddities(face, scans, drive)
+    oddities = fits.find_oddities(face, scans, targets, drive)
     if len(scans) == 1:
         message = (
             "the muscle geometry is fitted to one expression: it will follow that one and say "
@@ -73,7 +75,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
         oddities.append(make_warning("fit.one_target", message))
     log.warn(0.02, oddities)
     begin = time.perf_counter()
-    fitted, notices = _fit(given.solver, face, targets, schedule, priors, progress)
+    fitted, rounds, notices = _fit(given.solver, face, targets, schedule, priors, progress)
     log.warn(0.8, notices)
     seconds = time.perf_counter() - begin
     expressions = []
@@ -90,7 +92,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     if bounded is None:
         del settings["tightening"]
     spent = {"geometry": seconds}
-    rig = Rig(subject, fitted.S, tuple(expressions), spent, log.general, drive=drive)
+    rig = Rig(subject, fitted.S, tuple(expressions), spent, log.general, drive=drive, rounds=rounds)
     return fits.leave_rig(fitted.face, rig, settings, task.out, part_of(progress, 0.8))
 
 
@@ -101,8 +103,9 @@ def _fit(
     schedule: GeometryOptions,
     priors: Mapping[str, Any],
     progress: ProgressCallback,
-) -> tuple[GeometryFit, tuple[Finding, ...]]:
-    """Fit by a solver; returns what IPOPT noticed, too."""
+) -> tuple[GeometryFit, tuple[FitRound, ...], tuple[Finding, ...]]:
+    """Fit by a solver; returns its rounds, and what IPOPT noticed, which has none."""
+    rounds: list[FitRound] = []
 
     def listen_ipopt(iteration: int, value: float) -> None:
         part = min(iteration / geometry.most_iterations(schedule), 1.0)
@@ -115,8 +118,17 @@ def _fit(
         message = CLOSING if closing else None
         progress(Step("geometry", done, number + 1, mean_error_mm=error, message=message))
 
+    def ended(end: RoundEnd) -> None:
+        error = geometry.mean_error(face, targets, end.states)
+        loosened = schedule.loosened_in(end.number)
+        rounds.append(FitRound(end.number + 1, loosened, end.objective, error, end.seconds))
+
     data = terms(face, targets)
     if solver == "ipopt":
-        return geometry.fit_by_ipopt(face, data, schedule, listen_ipopt, **priors)
+        found, notices = geometry.fit_by_ipopt(face, data, schedule, listen_ipopt, **priors)
+        return found, (), notices
     first_terms = distances(face, targets)
-    return geometry.fit(face, data, schedule, first_terms=first_terms, listen=listen, **priors), ()
+    found = geometry.fit(
+        face, data, schedule, first_terms=first_terms, listen=listen, ended=ended, **priors
+    )
+    return found, tuple(rounds), ()

@@ -28,7 +28,7 @@ from solver.fitting.strips import strip_names
 from solver.fitting.target_checks import check_held
 from solver.fitting.tracking import Tracker
 from solver.jobs import Task, read_template
-from solver.jobs.fits import solve_basis
+from solver.jobs.fits import JobPart, solve_basis
 from solver.jobs.live_off import LiveOff
 from solver.jobs.marker_frames import (
     VIEW_FILE,
@@ -64,6 +64,7 @@ class FitMarkersOptions:
 
 
 OPTIONS = FitMarkersOptions()
+EXPRESSIONS = JobPart(0.0, 0.01)  # of the job, for the template's expressions
 
 
 def run(task: Task[FitMarkers]) -> list[Path]:
@@ -219,10 +220,10 @@ def _basis(task: Task[FitMarkers], face: Face, shapes: NDArray[np.floating]) -> 
 
     They are left for the next; not those of fibre muscles, which are no rig's.
     """
-
-    def show(done: float) -> None:
-        task.progress(Step("expressions", 0.01 * done))
-
     if task.options.muscles == "fibre":
+
+        def show(done: float) -> None:
+            task.progress(Step("expressions", EXPRESSIONS.at(done)))
+
         return ExpressionBasis.solve(face, shapes, listen=show)
-    return solve_basis(task, face, shapes, show)
+    return solve_basis(task, face, shapes, EXPRESSIONS)

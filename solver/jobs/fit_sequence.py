@@ -17,6 +17,7 @@ from solver.fitting.contraction import Contraction
 from solver.fitting.face import Face
 from solver.fitting.known import FaceMuscles
 from solver.fitting.objective import Target
+from solver.fitting.recruitment_checks import check_expected
 from solver.fitting.target_checks import check_held
 from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.dense import (
@@ -256,13 +257,17 @@ def run(task: Task[FitSequence]) -> list[Path]:
     face = rig.face(given.linear_solver or fastest())
     check_held(face)
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(source)}"))
+    notices = check_expected(face) if given.system == "S" else []
+    for notice in notices:
+        progress(Step("warning", 0.01, message=notice.message))
     known = KnownFrames(task, FaceMuscles.of(face), range(len(source)), given.fps)
     fitter, beside = _fitter(task, source, face, numbers, known)
     done: list[SequenceFrame] = fit_frames(task, numbers, fitter, source.name)
     progress(Step("export", 0.96))
-    figures, notices = known.report(done)
-    for notice in notices:
+    figures, disagreements = known.report(done)
+    for notice in disagreements:
         progress(Step("warning", 0.96, message=notice.message))
+    notices += disagreements
     report = sequence_report(done, given.fps, source.name) | {"system": given.system}
     report |= figures | {"notices": [notice.as_dict() for notice in notices]}
     report |= live.report(fitter.skin.solved())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,13 +20,14 @@ from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
 from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.drives.stored import store
 from solver.fitting.expression_basis import FILE as BASIS_FILE
-from solver.fitting.expression_basis import ExpressionBasis
+from solver.fitting.expression_basis import OTHER, ExpressionBasis
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit, Solver
 from solver.fitting.geometry_information import MuscleInformation
 from solver.fitting.known import NOTHING_KNOWN, FaceMuscles, find_disagreements
 from solver.fitting.least_squares import Listener
 from solver.fitting.objective import Target
+from solver.fitting.recruitment_checks import check_recruitment
 from solver.fitting.target_checks import after_fit, before_fit, find_inflated, idle_muscles
 from solver.jobs import Task
 from solver.kinds.kind import Distance, ExpressionFitOptions
@@ -47,11 +48,16 @@ Fit = TypeVar("Fit", bound=ExpressionFit)
 def asked_drive(options: ExpressionFitOptions, own: MuscleDrive | None = None) -> MuscleDrive:
     """Return the drive that a job asks for; if it asks for none ``own``, else an admissible one.
 
-    IPOPT knows no bounds, so that it fits free muscles unless others are asked for.
+    IPOPT knows no bounds, so that it fits free muscles unless others are asked for. Raises
+    :class:`InputError` (``rig.drive``) where a rig's own drive is no six numbers a muscle.
     """
     if options.controls == "free" or (options.controls is None and options.solver == "ipopt"):
         return SixNumbers()
     if own and options.controls is None and "plausibility" not in options.model_fields_set:
+        if not isinstance(own, SixNumbers):
+            message = f"the rig is driven by {own.name}, and the job fits six numbers a muscle"
+            expected = ["free", "admissible"]
+            raise InputError("rig.drive", f"{message}: give controls", expected=expected)
         return own
     return Admissible(limits_by_plausibility(options.plausibility))
 
@@ -115,10 +121,18 @@ def read_known_scans(
 
 
 def find_oddities(
-    face: Face, scans: Mapping[str, RegisteredScan], drive: MuscleDrive
+    face: Face,
+    scans: Mapping[str, RegisteredScan],
+    targets: Mapping[str, Target],
+    drive: MuscleDrive,
 ) -> list[Finding]:
-    """Return what is odd about a face and scans before they are fitted by a drive."""
-    found = [*idle_muscles(face), *before_fit(face.model, scans), *drive.lacks(face.model)]
+    """Return what is odd about a face and scans, with their targets, before a drive fits them."""
+    found = [
+        *idle_muscles(face),
+        *before_fit(face.model, scans),
+        *check_recruitment(face, targets),
+        *drive.lacks(face.model),
+    ]
     if drive.loosen(0.0) is not None and face.model.jaw.tracks is None:
         message = "the model has no tracks of its condyles, so that its jaw is free: build it again"
         found.append(make_warning("model.no_tracks", message))
@@ -343,22 +357,36 @@ class WarningLog:
 
 
 def known_basis(
-    task: Task[Any], face: Face, shapes: NDArray[np.floating]
+    task: Task[Any], face: Face, shapes: NDArray[np.floating], fraction: float
 ) -> ExpressionBasis | None:
-    """Return the basis that an earlier attempt or an earlier job left; None if it is of others."""
+    """Return the basis that an earlier attempt or an earlier job left, if one did.
+
+    One of another face or of other shapes is none; why is told when ``fraction`` of the job is
+    done.
+    """
     kept = task.out / BASIS_FILE
     known: Path | None = task.inputs.get("expression_basis")
     if task.resume and kept.is_file():
         known = kept
-    return ExpressionBasis.load(known, face, shapes) if known else None
+    try:
+        return ExpressionBasis.load(known, face, shapes) if known else None
+    except InputError as error:
+        if error.code != OTHER:
+            raise
+        task.progress(Step("warning", fraction, message=f"{error.message}: it is not used"))
+        return None
 
 
 def solve_basis(
-    task: Task[Any], face: Face, shapes: NDArray[np.floating], listen: Callable[[float], None]
+    task: Task[Any], face: Face, shapes: NDArray[np.floating], span: JobPart
 ) -> ExpressionBasis:
-    """Return the known basis, else solve it; it is left for later jobs."""
-    basis = known_basis(task, face, shapes)
+    """Return the known basis, else solve it in a ``span`` of the job; it is left for later jobs."""
+    basis = known_basis(task, face, shapes, span.start)
     if basis is None:
-        basis = ExpressionBasis.solve(face, shapes, listen=listen)
+
+        def show(part: float) -> None:
+            task.progress(Step("expressions", span.at(part)))
+
+        basis = ExpressionBasis.solve(face, shapes, listen=show)
     basis.save(task.out / BASIS_FILE, face)
     return basis

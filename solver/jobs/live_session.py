@@ -28,8 +28,7 @@ from solver.kinds.live_messages import (
     Message,
     MessageError,
 )
-from solver.kinds.live_session import ENDING, PART, REPORT, VIEW_FILE
-from solver.kinds.live_session import LiveSession as Options
+from solver.kinds.live_session import ENDING, PART, REPORT, VIEW_FILE, LiveSessionOptions
 from solver.live.samples import FILE as SAMPLES_FILE
 from solver.live.sent import FILE as TAKES_FILE
 from solver.live.sent import gather_takes
@@ -66,7 +65,7 @@ LOOP = LoopOptions()
 NO_TAKE = {"type": "take", "name": None, "file": None, "frames": 0, "seconds": 0.0}
 
 
-def run(task: Task[Options]) -> list[Path]:
+def run(task: Task[LiveSessionOptions]) -> list[Path]:
     """Follow the frames of a session until it ends; takes, skin and report are left.
 
     Raises :class:`InputError` (``live.channel``) where there is no channel, as offline, and what
@@ -81,7 +80,7 @@ def run(task: Task[Options]) -> list[Path]:
 class _Loop:
     """Holds one session: reads messages, follows frames, records takes."""
 
-    def __init__(self, task: Task[Options], channel: Channel) -> None:
+    def __init__(self, task: Task[LiveSessionOptions], channel: Channel) -> None:
         self._task = task
         self._channel = channel
         self._begin = self._last_frame = time.monotonic()

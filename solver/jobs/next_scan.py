@@ -82,7 +82,7 @@ def _near(
 
     No basis is solved here: that takes as long as the library itself, while the person waits.
     """
-    basis = known_basis(task, own, shapes.expressions) if shapes else None
+    basis = known_basis(task, own, shapes.expressions, 0.0) if shapes else None
     if shapes is None or basis is None:
         return {}
     known = dict(zip(shapes.expression_names, basis.whole, strict=True))

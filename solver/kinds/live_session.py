@@ -20,7 +20,7 @@ PART = ".part"
 Source = Literal["markers", "weights", "points", "landmarks"]
 
 
-class LiveSession(JobOptions):
+class LiveSessionOptions(JobOptions):
     """Options of a live session."""
 
     source: Source = Field(
@@ -71,5 +71,5 @@ KIND = Kind(
     leaves="live",
     result="live.json",
     hands_on=("live_skin.npz", "expression_basis.npz", "live_takes.npz", "live_samples.npz"),
-    options=LiveSession,
+    options=LiveSessionOptions,
 )

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import structlog
 from numpy.typing import NDArray
 
 from solver.anatomy.skin_points import SkinPoints
@@ -16,8 +17,9 @@ from solver.animation.controls import Controls
 from solver.errors import InputError
 from solver.fitting.contraction import Contraction
 from solver.fitting.drives.admissible import ADMISSIBLE
+from solver.fitting.drives.stored import are_same
 from solver.fitting.expression_basis import FILE as BASIS_FILE
-from solver.fitting.expression_basis import ExpressionBasis
+from solver.fitting.expression_basis import OTHER, ExpressionBasis
 from solver.fitting.face import Face, Pose
 from solver.fitting.target_checks import check_held
 from solver.kinds.live_session import Source
@@ -36,6 +38,8 @@ from solver.scans.markers.places.marker_set import MarkerSet
 from solver.storage import copy_whole
 from solver.surface import Floats
 from solver.templates.builtin.build import builtin_template
+
+log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,8 +170,8 @@ class LiveFace:
         controls = None
         if "controls" in files:
             controls = Controls.load(files["controls"], rig.model, rig.weights)
-            if controls.drive != rig.drive:  # learned by a release with other limits
-                controls = None
+            if not are_same(controls.drive, rig.drive):
+                controls = None  # learned by a release with other limits
         return cls(rig, face, live, basis, landmark_points(template), controls)
 
 
@@ -191,9 +195,12 @@ def _basis(
     kept = out / BASIS_FILE
     for path in (kept, files.get("expression_basis")):
         if path is not None and path.is_file():
-            found = ExpressionBasis.load(path, face, shapes)
-            if found is not None:
-                return found
+            try:
+                return ExpressionBasis.load(path, face, shapes)
+            except InputError as error:
+                if error.code != OTHER:
+                    raise
+                log.warning(error.code, file=path.name, error=error.message)
     found = ExpressionBasis.solve(face, shapes, listen=lambda done: listen("expressions", done))
     found.save(kept, face)
     return found

@@ -98,7 +98,7 @@ class RunningError:
 
 
 class Counts:
-    """Numbers from 0 on, counted by steps: their percentiles need no more room in time."""
+    """A histogram of numbers from 0 on, for percentiles in the same memory however many come."""
 
     def __init__(self, step: float, most: int) -> None:
         self._step = step
@@ -106,7 +106,7 @@ class Counts:
         self._sum = 0.0
 
     def add(self, value: float) -> None:
-        """Count a number; what is beyond the last step counts as that."""
+        """Count a number; one beyond the last step is counted there."""
         self._counts[min(int(value / self._step), len(self._counts) - 1)] += 1
         self._sum += value
 

@@ -297,7 +297,7 @@ def begin_camera(
 
 
 def marks_of(photo: Photo, points: SkinPoints) -> tuple[SkinPoints, Floats]:
-    """Return those of ``points`` that a photograph has, and where it has them (k, 2), px."""
+    """Return the ``points`` that a photograph shows, and where it shows them (k, 2), px."""
     names = [name for name in points.names if name in photo.landmarks]
     return points.select(names), np.array([photo.landmarks[n] for n in names]).reshape(-1, 2)
 

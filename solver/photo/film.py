@@ -63,7 +63,7 @@ class StepNoise:
 
     @property
     def head(self) -> Floats:
-        """Return those of the head (6,)."""
+        """Return the deviations of the head's six numbers."""
         return np.array([*3 * [self.turn], *self.shift_mm])
 
 

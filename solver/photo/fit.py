@@ -65,7 +65,7 @@ class PhotoView:
 
     @property
     def free(self) -> Ints:
-        """Return those of the camera's seven numbers that are its own variables."""
+        """Return which of the camera's seven numbers are fitted."""
         if self.is_placed:
             return np.zeros(0, np.int64)
         return np.arange(CAMERA_FREEDOM if self.focal else POSE_FREEDOM)

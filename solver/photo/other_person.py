@@ -89,7 +89,7 @@ class Moments:
 
     @classmethod
     def of(cls, own: Floats, others: Floats, diagonal: float) -> Moments:
-        """Return those of rows (k, m); ``diagonal`` is the part by which they do not correlate."""
+        """Estimate moments from rows (k, m), of which the part ``diagonal`` is not correlated."""
         found = [each.T @ each / len(each) for each in (own, others)]
         return cls(*((1.0 - diagonal) * each + diagonal * np.diag(np.diag(each)) for each in found))
 

@@ -55,7 +55,7 @@ def reprojections(
     point: PhotoPoint[State],
     options: ExpressionOptions,
 ) -> dict[str, Reprojection]:
-    """Return those of the ``photos`` of one moment that are placed, by name.
+    """Return reprojections in the ``photos`` of one moment whose cameras are placed, by name.
 
     ``point`` is the end of a fit to their landmarks. There are none where fewer than two are
     placed: one camera contradicts nobody.

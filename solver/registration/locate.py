@@ -32,8 +32,8 @@ from solver.registration.search import (
 )
 from solver.registration.shape_fit import (
     LIKENESS,
-    ShapeFit,
     ShapeModel,
+    TemplateFit,
     fit_shapes,
     full_model,
     match_samples,
@@ -69,7 +69,7 @@ class Location:
 
     pose: FacePose
     near: Samples  # of the scan, in its own frame, that the pose puts about the face
-    likeness: ShapeFit | None  # of the template to the face; None where there is surely none
+    likeness: TemplateFit | None  # of the template to the face; None where there is surely none
     is_face: bool
     size: FaceSize  # and the unit of the file
     motion: Similarity  # takes the scan in mm, without scale, to the template's face
@@ -174,7 +174,7 @@ def _judge_likeness(
     face: Surface,
     *,
     certain: bool,
-) -> tuple[ShapeFit | None, bool]:
+) -> tuple[TemplateFit | None, bool]:
     """Return the likeness to what is ``near`` a pose, and whether it is a face; ``certain``: it is.
 
     A doubtful pose is a face's if it is one once the template looks like the person. A template
@@ -187,7 +187,7 @@ def _judge_likeness(
     is_face = certain or pose.is_face
     skin = template.skin.vertices
     if template.shapes is None:
-        as_it_is = ShapeFit(np.zeros(0), skin, pose.motion)
+        as_it_is = TemplateFit(np.zeros(0), skin, pose.motion)
         return as_it_is, is_face or pose.cost < SECOND.shapeless_cost
     shapes = full_model(skin, face, template.shapes)
     match = match_samples(near, vertex_areas(skin, face.faces)[shapes.used])
@@ -213,7 +213,7 @@ EYES = EyeOptions()
 
 
 def _measure_eyes(
-    fitted: ShapeFit,
+    fitted: TemplateFit,
     samples: Samples,
     template: Template,
     face: Surface,
@@ -240,7 +240,7 @@ def _measure_eyes(
     return in_scan, in_template
 
 
-def _find_eye(fitted: ShapeFit, samples: Samples, face: Surface, corners: Ints) -> Floats:
+def _find_eye(fitted: TemplateFit, samples: Samples, face: Surface, corners: Ints) -> Floats:
     """Return the middle (3,) between the corners of an eye in a scan, in its own frame."""
     middle = fitted.vertices[corners].mean(axis=0)
     used = np.unique(face.faces)

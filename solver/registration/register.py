@@ -28,7 +28,7 @@ from solver.registration.nonrigid import (
 from solver.registration.scan_surface import SURFACE, ScanSurface, check_size, sample, scan_surface
 from solver.registration.shape_fit import (
     Pins,
-    ShapeFit,
+    TemplateFit,
     align,
     expression_model,
     facing_weights,
@@ -176,7 +176,7 @@ def _find_pins(
 
 def _fit_person(
     scan: ScanSurface, start: Location, topology: Topology, pins: Pins | None
-) -> tuple[ShapeFit, tuple[Round, ...]]:
+) -> tuple[TemplateFit, tuple[Round, ...]]:
     """Return a neutral's shape and the rounds that follow; without shapes the template's, sized."""
     basis = topology.template.shapes
     rest = topology.template.skin
@@ -188,14 +188,14 @@ def _fit_person(
     normals = vertex_normals(rest)[face]
     motion = align(scan, start.motion, rest.vertices[face], normals, sizes=True)
     if not start.size.is_known:  # the scan takes the template's size
-        return ShapeFit(np.zeros(0), rest.vertices, motion), FROM_AFAR
+        return TemplateFit(np.zeros(0), rest.vertices, motion), FROM_AFAR
     resize = replace(IDENTITY, scale=start.motion.scale / motion.scale)
-    return ShapeFit(np.zeros(0), resize(rest.vertices), motion.then(resize)), FROM_AFAR
+    return TemplateFit(np.zeros(0), resize(rest.vertices), motion.then(resize)), FROM_AFAR
 
 
 def _fit_expression(
     scan: ScanSurface, start: Location, topology: Topology, neutral: Floats, pins: Pins | None
-) -> tuple[ShapeFit, tuple[Round, ...]]:
+) -> tuple[TemplateFit, tuple[Round, ...]]:
     """Return an expression's shape and the rounds that follow; without shapes the neutral's."""
     # the neutral's size is surer than one that was measured on this scan's own face
     basis = topology.template.shapes
@@ -205,7 +205,7 @@ def _fit_expression(
     share = topology.stable[still]
     motion = align(scan, start.motion, neutral[still], normals, share, sizes=sizes)
     if basis is None or not len(basis.expressions):
-        return ShapeFit(np.zeros(0), neutral, motion), FROM_AFAR
+        return TemplateFit(np.zeros(0), neutral, motion), FROM_AFAR
     shapes = expression_model(neutral, topology, basis)
     match = partial(find_correspondences, scan)
     return fit_shapes(match, motion, shapes, pins, sizes=sizes), REFINE

@@ -215,8 +215,8 @@ def full_model(skin: Floats, face: Surface, basis: ShapeBasis) -> ShapeModel:
 
 
 @dataclass(frozen=True)
-class ShapeFit:
-    """The weights (k,), the fitted ``vertices`` (n, 3), and the scan's motion onto them."""
+class TemplateFit:
+    """The template fitted to a scan: weights (k,), ``vertices`` (n, 3), and the scan's motion."""
 
     weights: Floats
     vertices: Floats
@@ -231,7 +231,7 @@ def fit_shapes(
     options: ShapeFitOptions = FIT,
     *,
     sizes: bool,
-) -> ShapeFit:
+) -> TemplateFit:
     """Fit weights and motion together; with ``sizes`` the scan's size may change.
 
     ``match`` finds the scan's points, ``pins`` guide the rounds in which these are still far.
@@ -267,7 +267,7 @@ def fit_shapes(
         step = solution[count:]
         growth = float(np.clip(step[6], -options.growth, options.growth)) if sizes else 0.0
         motion = motion.then(small_motion(step[:6], growth))
-    return ShapeFit(weights, shapes.at(weights), motion)
+    return TemplateFit(weights, shapes.at(weights), motion)
 
 
 RIGID_REACHES_MM = (12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0, 3.0, 3.0, 3.0, 3.0, 3.0)  # of the rounds

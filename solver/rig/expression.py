@@ -88,7 +88,6 @@ def errors_on_skin(model: SubjectModel, target: Target, points: Floats) -> Float
 
 def expression_arrays(expressions: Sequence[ExpressionFit], model: SubjectModel) -> Arrays:
     """Return the arrays of a file; surfaces and errors are in single precision."""
-    muscles = model.muscle_count
     vertices = len(model.skin.vertices)
 
     def column(field: str, shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:
@@ -102,13 +101,15 @@ def expression_arrays(expressions: Sequence[ExpressionFit], model: SubjectModel)
     x = [unknown if fit.x is None else fit.x for fit in expressions]
     unsure = np.full(vertices, np.nan)
     confidence = [unsure if fit.confidence is None else fit.confidence for fit in expressions]
+    # as the rig's drive has them
+    of_muscles = expressions[0].activations.shape if expressions else (model.muscle_count, 6)
     trips = [astuple(fit.round_trip or RoundTrip()) for fit in expressions]
     return {
         "format": np.array(FORMAT),
         "muscles": texts(model.muscle_names),
         "names": texts(fit.name for fit in expressions),
         "roles": texts(fit.role for fit in expressions),
-        "activations": column("activations", (muscles, 6)),
+        "activations": column("activations", of_muscles),
         "jaw": column("jaw", (5,)),
         "skin": column("skin", (vertices, 3), np.float32),
         "target": column("target", (vertices, 3), np.float32),

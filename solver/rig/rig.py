@@ -9,7 +9,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -52,6 +52,18 @@ FILES_OF_0_1 = {
 
 
 @dataclass(frozen=True)
+class FitRound:
+    """What a round of the fit of S came to."""
+
+    number: int  # from 1
+    # part of the way from the muscles' limits to none, 0 within them; None before they are kept to
+    loosened: float | None
+    objective: float  # of all training scans, mm^2
+    mean_mm: float  # distance over the face and the expressions
+    seconds: float
+
+
+@dataclass(frozen=True)
 class Rig:
     """Everything a fit hands over."""
 
@@ -64,6 +76,7 @@ class Rig:
     drive: MuscleDrive = FREE_DRIVE  # that S was fitted with
     # what else drives the face, by its letter
     systems: Mapping[str, System] = field(default_factory=dict)
+    rounds: tuple[FitRound, ...] = ()  # of the fit of S; of older rigs they are not known
 
     def face(self, linear: str | None = None, tolerance: float = NewtonOptions.tolerance) -> Face:
         """Return the person as fitted: with S and drive, a driven jaw on the model's tracks.
@@ -117,6 +130,7 @@ class Rig:
             "format": FORMAT,
             "model": model.header,
             "seconds": self.seconds,
+            "rounds": [asdict(each) for each in self.rounds],
             "notices": [notice.as_dict() for notice in self.notices],
             "figures": self.figures,
             "drive": store(self.drive),
@@ -178,9 +192,11 @@ class Rig:
                     )
                     for name, about in dict(header.get("systems", {})).items()
                 },
+                rounds=tuple(FitRound(**each) for each in header.get("rounds", ())),
             )
-            drive = restore(header["drive"]) if "drive" in header else rig._find_drive()
-            return replace(rig, drive=drive)
+            if "drive" not in header:
+                return replace(rig, drive=rig._find_drive())
+            return replace(rig, drive=restore(header["drive"], model, rig.weights))
 
     @classmethod
     def _load_0_1(cls, files: Mapping[str, Path]) -> Rig:

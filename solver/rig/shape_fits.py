@@ -109,7 +109,7 @@ def _round_trip(face: ShapeFace[State], rest: State, found: State) -> RoundTrip:
 def find_crossed(
     model: SubjectModel, fit: ShapeFit, options: CrossedScanOptions = CrossedScanOptions()
 ) -> list[Finding]:
-    """Return whether the lips of the scan cross, as those of no face do, and what the fit does."""
+    """Warn of a scan whose lips go through each other, and say how far they do so in its fit."""
     mouth = Mouth.of(model)
     if mouth is None or not np.isfinite(fit.target[mouth.skin]).all():
         return []

@@ -299,8 +299,8 @@ def check_picture(check: ScanCheck, title: str, path: Path) -> None:
     seen: set[str] = set()
     views = []
     if check.scan is not None:
-        placed = _place(check)
-        views = [_view(check, placed, yaw, seen) for yaw in YAWS]
+        scan = _place(check)
+        views = [_view(check, scan, yaw, seen) for yaw in YAWS]
     legend = {words: tuple(colour) for words, colour in LEGEND.items() if words in seen}
     not_judged = ", ".join(each.about for each in check.parts if not each.judged)
     detail = f"not judged: {not_judged}" if not_judged else ""
@@ -313,7 +313,7 @@ def check_picture(check: ScanCheck, title: str, path: Path) -> None:
 
 
 @dataclass(frozen=True)
-class _Placed:
+class _ShownScan:
     """A scan as it is to be seen, the middle (3,) of the view and its height."""
 
     surface: Surface
@@ -326,16 +326,16 @@ class _Placed:
         return vertex_normals(self.surface)
 
 
-def _view(check: ScanCheck, placed: _Placed, yaw: float, seen: set[str]) -> Pixels:
+def _view(check: ScanCheck, scan: _ShownScan, yaw: float, seen: set[str]) -> Pixels:
     """Return a picture; the words of :data:`LEGEND` for its colours are added to ``seen``."""
-    surface = placed.surface
-    camera = Camera(placed.centre, placed.span, yaw, distance=FAR_MM)
+    surface = scan.surface
+    camera = Camera(scan.centre, scan.span, yaw, distance=FAR_MM)
     wide = WIDTH * SUPERSAMPLING
     high = HEIGHT * SUPERSAMPLING
     image = np.broadcast_to(BACKGROUND, (high, wide, 3)).copy()
     depth = np.full((high, wide), np.inf)
     if len(surface.faces):
-        seen |= _draw_mesh(image, depth, camera, placed, check)
+        seen |= _draw_mesh(image, depth, camera, scan, check)
     else:
         _draw_cloud(image, depth, camera, surface.vertices)
         seen.add(SCANNED)
@@ -349,7 +349,7 @@ def _view(check: ScanCheck, placed: _Placed, yaw: float, seen: set[str]) -> Pixe
     return np.asarray(np.clip(image, 0.0, 1.0), np.float32)
 
 
-def _place(check: ScanCheck) -> _Placed:
+def _place(check: ScanCheck) -> _ShownScan:
     """Return the scan of a check as it is to be seen."""
     scan = check.scan
     assert scan is not None
@@ -357,27 +357,27 @@ def _place(check: ScanCheck) -> _Placed:
         low, high = np.quantile(scan.vertices, [0.002, 0.998], axis=0)
         scale = SPAN_MM / 1.2 / float((high - low).max() + 1e-30)
         vertices = (scan.vertices - (low + high) / 2) * scale
-        return _Placed(Surface(vertices, scan.faces), np.zeros(3), SPAN_MM)
+        return _ShownScan(Surface(vertices, scan.faces), np.zeros(3), SPAN_MM)
     surface = Surface(check.location.pose.motion(scan.vertices), scan.faces)
     if any(finding.code == "scan.two_heads" for finding in check.findings):
         low, high = np.quantile(surface.vertices, [0.002, 0.998], axis=0)
-        return _Placed(surface, (low + high) / 2, 1.6 * float((high - low).max()))
+        return _ShownScan(surface, (low + high) / 2, 1.6 * float((high - low).max()))
     middle = np.median(check.cover.points, axis=0) - np.array([0.0, 0.0, BACK_MM])
-    return _Placed(surface, middle, SPAN_MM)
+    return _ShownScan(surface, middle, SPAN_MM)
 
 
 def _draw_mesh(
-    image: Floats, depth: Floats, camera: Camera, placed: _Placed, check: ScanCheck
+    image: Floats, depth: Floats, camera: Camera, scan: _ShownScan, check: ScanCheck
 ) -> set[str]:
     """Draw the scan, and return the words of :data:`LEGEND` for its colours."""
-    surface = placed.surface
+    surface = scan.surface
     seen = look(camera, surface, image.shape[1], image.shape[0])
     mask = np.asarray(seen.mask)
     if not mask.any():
         return set()
     shown_faces = surface.faces[seen.triangle[mask]]
     normals = unit_rows(area_normals(surface.vertices, shown_faces))
-    normal = unit_rows(seen.interpolate(placed.normals).astype(np.float64))
+    normal = unit_rows(seen.interpolate(scan.normals).astype(np.float64))
     facing = normals @ camera.axes[2]
     light = camera.brightness(normal)
     inward = facing < 0

@@ -50,7 +50,7 @@ class CentreLines:
 
     @classmethod
     def of(cls, model: SubjectModel, options: LineOptions = LineOptions()) -> CentreLines:
-        """Return those of a model's muscles."""
+        """Draw the centre lines of a model's muscles."""
         gradients, volumes = shape_gradients(model.rest, model.tets)
         entries = model.weights.tocoo()
         count = model.muscle_count

@@ -136,7 +136,7 @@ class Controls:
             found = cls(
                 tuple(header["names"]),
                 tuple(header["muscles"]),
-                restore(header["drive"]),
+                restore(header["drive"], model, S),
                 PolynomialMap.of(with_prefix(data, "polynomial_")),
                 Network.of(with_prefix(data, "network_")),
                 float(header["share"]),

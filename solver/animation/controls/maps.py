@@ -34,7 +34,7 @@ class ShapeSizes:
 
     @classmethod
     def of(cls, motions: Floats) -> ShapeSizes:
-        """Return those of shapes' ``motions`` (e, k, 3) of the face's points, mm."""
+        """Measure shapes by their ``motions`` (e, k, 3) of the face's points, mm."""
         lengths = np.linalg.norm(motions, axis=2)
         alone = np.sqrt(np.mean(lengths**2, axis=1))
         common = lengths @ lengths.T / lengths.shape[1]
@@ -102,7 +102,7 @@ class Leverage:
     def of(
         cls, weights: Floats, sizes: ShapeSizes, options: PolynomialOptions = PolynomialOptions()
     ) -> Self:
-        """Return that of pairs with ``weights`` (n, e)."""
+        """Factorise the normal matrix of a polynomial's pairs, of ``weights`` (n, e)."""
         products = np.argwhere(np.triu(sizes.together >= options.least_mm))
         features = _features(weights, products)
         common = sizes.together[tuple(products.T)]

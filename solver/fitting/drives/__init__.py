@@ -2,14 +2,15 @@
 
 A drive is one module with one class. :mod:`.six_numbers` is the published one, six numbers a muscle
 that S blends; :mod:`.admissible` keeps these to what muscles can make; :mod:`.fibre_muscles` has
-muscles that pull along their fibres. ``docs/develop/add-a-control.md`` adds one. :mod:`.stored` has
-those that rigs keep.
+muscles that pull along their fibres. ``docs/develop/add-a-control.md`` adds one. :mod:`.stored`
+writes any of them to a file and reads it back.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, is_dataclass
+from typing import Any, ClassVar, Protocol, get_type_hints
 
 import scipy.sparse as sp
 
@@ -34,7 +35,18 @@ class ContractionMap:
 
 
 class MuscleDrive(Protocol):
-    """A kind of control of the muscles; it holds no state of a fit."""
+    """A kind of control of the muscles; it holds no state of a fit.
+
+    Files call it by its ``name``: that of the class in small letters, or what the class statement
+    says, as in ``class SixNumbers(MuscleDrive, name="free")``.
+    """
+
+    name: ClassVar[str] = ""
+
+    def __init_subclass__(cls, *, name: str = "", **others: Any) -> None:
+        """Name the drive of a class."""
+        super().__init_subclass__(**others)
+        cls.name = name or cls.__name__.lower()
 
     def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:
         """Return the block of its values: rest, bounds, units, and the price of shapes."""
@@ -75,6 +87,30 @@ class MuscleDrive(Protocol):
     def lacks(self, model: SubjectModel) -> list[Finding]:
         """Return warnings of what a model does not have, so that the drive cannot do its part."""
         return []
+
+    def settings(self) -> dict[str, Any]:
+        """Return what a file keeps of the drive, as JSON values: by default its fields.
+
+        These have to be JSON values, or dataclasses of them.
+        """
+        assert is_dataclass(self)
+        return asdict(self)
+
+    @classmethod
+    def restored(
+        cls,
+        settings: Mapping[str, Any],
+        model: SubjectModel,  # noqa: ARG003 - of drives with more than settings
+        S: sp.csr_array,  # noqa: ARG003
+    ) -> MuscleDrive:
+        """Return the drive with such :meth:`settings`, of the muscles of a model with S."""
+        kinds = get_type_hints(cls)
+        return cls(
+            **{
+                name: kinds[name](**value) if is_dataclass(kinds[name]) else value
+                for name, value in settings.items()
+            }
+        )
 
 
 def are_fibres(activations: Floats) -> bool:

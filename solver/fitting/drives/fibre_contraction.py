@@ -10,7 +10,9 @@ which keeps its volume; A_i = s_i0 I + sum_j s_ij S_j.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -95,7 +97,7 @@ def _along(model: SubjectModel, S: sp.csr_array) -> Floats:
 
 
 @dataclass(frozen=True)
-class FibreContraction(MuscleDrive):
+class FibreContraction(MuscleDrive, name="contraction"):
     """Contractions (m,) of a model's muscles within limits; 1 is relaxed."""
 
     model: SubjectModel
@@ -126,6 +128,17 @@ class FibreContraction(MuscleDrive):
         self, model: SubjectModel, volumes: Floats, S: sp.csr_array
     ) -> ContractionMap:
         return ContractionMap(np.full((S.shape[1] - 1, 1), -1.0), volumes_by_muscle(volumes, S))
+
+    @override
+    def settings(self) -> dict[str, Any]:
+        return {"limits": asdict(self.limits)}
+
+    @override
+    @classmethod
+    def restored(
+        cls, settings: Mapping[str, Any], model: SubjectModel, S: sp.csr_array
+    ) -> FibreContraction:
+        return cls(model, ContractionLimits(**settings["limits"]))
 
 
 def fit_contractions(

@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,7 +24,7 @@ from solver.surface import Floats
 
 
 @dataclass(frozen=True)
-class FibreDrive(MuscleDrive):
+class FibreDrive(MuscleDrive, name="fibres"):
     """The activations (m,) of fibre ``muscles``."""
 
     muscles: FibreMuscles
@@ -60,3 +62,29 @@ class FibreDrive(MuscleDrive):
         count = len(self.muscles.strengths)
         flesh = np.bincount(muscles.muscles, muscles.fractions * volumes[muscles.tets], count)
         return ContractionMap(np.ones((count, 1)), np.asarray(flesh, np.float64))
+
+    @override
+    def settings(self) -> dict[str, Any]:
+        muscles = self.muscles
+        arrays = {each.name: getattr(muscles, each.name).tolist() for each in fields(muscles)}
+        return {"muscles": arrays, "curve": self.curve._asdict()}
+
+    @override
+    @classmethod
+    def restored(
+        cls, settings: Mapping[str, Any], model: SubjectModel, S: sp.csr_array
+    ) -> FibreDrive:
+        arrays = {name: np.asarray(values) for name, values in settings["muscles"].items()}
+        muscles = FibreMuscles(**arrays)
+        entries = len(muscles.tets)
+        numbers = (
+            (muscles.tets, entries, len(model.tets)),
+            (muscles.muscles, entries, len(muscles.strengths)),
+            (muscles.sources, len(muscles.strengths), model.muscle_count),
+        )
+        for which, count, most in numbers:
+            if which.shape != (count,) or not np.isin(which, np.arange(most)).all():
+                raise ValueError("they are not of the model's tets and muscles")
+        if muscles.fractions.shape != (entries,) or muscles.fibres.shape != (entries, 3):
+            raise ValueError("its arrays do not fit each other")
+        return cls(muscles, Curve(**settings["curve"]))

@@ -40,7 +40,7 @@ LEAST_STRETCH = 0.1
 
 
 @dataclass(frozen=True)
-class SixNumbers(MuscleDrive):
+class SixNumbers(MuscleDrive, name="free"):
     """The published drive: any six numbers a muscle."""
 
     @override

@@ -93,7 +93,11 @@ def _presets(controls: Sliders, levels: Sequence[float]) -> list[Slid]:
 
 
 def _alone(controls: Sliders, number: int, level: float) -> Slid:
-    """Return a pose of one control; what is left of an expression, with what its muscles do."""
+    """Return a pose of one control at a level.
+
+    The control of an expression is what is left of it beside its muscles: these are at their full
+    amounts while it goes from 1 to 0.
+    """
     control = controls.each[number]
     values = np.zeros(len(controls))
     if control.kind == "expression":

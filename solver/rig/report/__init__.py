@@ -79,6 +79,16 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
         "vertices": len(model.rest),
         "muscles": model.muscle_count,
         "seconds": {phase: round(seconds, 3) for phase, seconds in rig.seconds.items()},
+        "rounds": [
+            {
+                "number": each.number,
+                "loosened": each.loosened,
+                "objective": float(f"{each.objective:.5g}"),
+                "mean_mm": rounded(each.mean_mm),
+                "seconds": round(each.seconds, 2),
+            }
+            for each in rig.rounds
+        ],
         "settings": certificate.settings,
         "made_with": {
             "template": model.anatomy,

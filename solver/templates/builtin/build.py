@@ -220,26 +220,23 @@ def _smooth_normals(skin: OuterSkin, rounds: int) -> Floats:
     return normals
 
 
-def named_regions(
-    head: Head,
-    visible: Ints,
-    sides: Ints,
-    *,
-    before_tragus_mm: float = 12.0,
-    under_jaw_mm: float = 4.0,
-) -> dict[str, Ints]:
+BEFORE_TRAGUS_MM = 12.0  # the face ends so far in front of the ear ...
+UNDER_JAW_MM = 4.0  # ... and below the jaw's lower border
+
+
+def named_regions(head: Head, visible: Ints, sides: Ints) -> dict[str, Ints]:
     """Return the ``face``, its regions, which do not overlap, and the neck by name.
 
     The face is brow to chin and ear to ear with the forehead, without ears, scalp and neck. Among
-    the ``visible`` skin vertices it ends ``before_tragus_mm`` in front of the tragus (no ear, no
-    skin behind it) and ``under_jaw_mm`` below the lower border of the jaw. ``sides`` (n,) tells the
-    lips of the head apart, as :func:`lip_sides` does.
+    the ``visible`` skin vertices it ends in front of the tragus (no ear, no skin behind it) and
+    below the lower border of the jaw. ``sides`` (n,) tells the lips of the head apart, as
+    :func:`lip_sides` does.
     """
     at = {name: head.neutral[vertex] for name, vertex in head.landmarks.items()}
     x, y, z = head.neutral[visible].T
     border = np.array([at[n] for n in ("gonion_l", "mid_mandibular_border_l", "menton")])
-    above_jaw = y > np.interp(z, border[:, 2], border[:, 1]) - under_jaw_mm
-    in_front = z > at["tragus_l"][2] + before_tragus_mm
+    above_jaw = y > np.interp(z, border[:, 2], border[:, 1]) - UNDER_JAW_MM
+    in_front = z > at["tragus_l"][2] + BEFORE_TRAGUS_MM
     on_face = in_front & above_jaw & (y < at["trichion"][1] - 15)
     neck = visible[~above_jaw & (y < at["gonion_l"][1] + 10)]
     face = visible[on_face]

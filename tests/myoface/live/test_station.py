@@ -33,7 +33,7 @@ from myoface.live.station import Given, Station, Tally
 from service.live import relay
 from solver.errors import InputError
 from solver.kinds.live_messages import GAP, HELD, FollowedFrame
-from solver.kinds.live_session import LiveSession, Source
+from solver.kinds.live_session import LiveSessionOptions, Source
 from solver.live import takes
 from solver.live.texts import describe_frame
 from tests.myoface.live.echo import READY, EchoLine, EchoSocket, echo_face
@@ -198,7 +198,7 @@ def test_nobody_at_the_other_end_of_osc_is_no_fault() -> None:
 
 
 def test_the_station_knows_what_a_session_does() -> None:
-    rate = LiveSession.model_json_schema()["properties"]["rate"]
+    rate = LiveSessionOptions.model_json_schema()["properties"]["rate"]
     assert (rate["default"], rate["maximum"]) == (USUAL_RATE, MOST_RATE)
     assert set(get_args(StationSource)) == set(get_args(Source))
     assert TAKE.pattern == takes.NAME.pattern

@@ -1,8 +1,11 @@
 """Drives of muscles: what fits count on, of every one."""
 
+import json
+
 import numpy as np
 import pytest
 
+from solver.errors import InputError
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.calibration import fibre_muscles
@@ -10,6 +13,7 @@ from solver.fitting.drives.admissible import Admissible
 from solver.fitting.drives.fibre_contraction import FibreContraction
 from solver.fitting.drives.fibre_muscles import FibreDrive
 from solver.fitting.drives.six_numbers import SixNumbers
+from solver.fitting.drives.stored import are_same, restore, store
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from tests.solver.simulation.test_fibres import fibred_block
@@ -52,6 +56,43 @@ def test_at_rest_the_flesh_is_passive(driven):
 @pytest.mark.long
 def test_values_are_found_again_from_the_skin(driven):
     check_round_trip(driven)
+
+
+def test_a_file_brings_it_back(driven):
+    kept = json.loads(json.dumps(store(driven.drive)))
+    found = restore(kept, driven.model, driven.S)
+    assert type(found) is type(driven.drive)
+    assert are_same(found, driven.drive)
+    pose = pulled(driven)
+    np.testing.assert_array_equal(
+        driven.driven_by(found).flesh_controls(pose.a), driven.flesh_controls(pose.a)
+    )
+
+
+@pytest.mark.parametrize(
+    "kept",
+    [
+        {},
+        [3],
+        {"name": "telepathy"},
+        {"name": "admissible", "limits": {"reach": 3.0}},
+        {"name": "fibres", "muscles": 3, "curve": {}},
+    ],
+)
+def test_what_no_drive_is_is_told(kept):
+    model = fibred_block()
+    with pytest.raises(InputError) as error:
+        restore(kept, model, model.weights)
+    assert error.value.code == "rig.drive"
+
+
+def test_fibres_of_other_tets_are_told():
+    face = Face(fibred_block())
+    kept = store(FibreDrive(fibre_muscles(face)))
+    kept["muscles"]["tets"][-1] = len(face.model.tets)
+    with pytest.raises(InputError, match="not of the model's tets") as error:
+        restore(kept, face.model, face.S)
+    assert error.value.code == "rig.drive"
 
 
 def check_rates(face):

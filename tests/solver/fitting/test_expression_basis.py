@@ -14,6 +14,7 @@ from solver.fitting.activation import rest_curvature
 from solver.fitting.drives.admissible import Admissible, AdmissibleLimits
 from solver.fitting.expression_basis import LINEAR, ExpressionBasis, begin_at, follows_teeth
 from solver.fitting.face import Face, PosedFace
+from solver.fitting.simplex import mix_by_stiffness
 from solver.model import CondyleTracks
 from tests.fixtures import small_capture, small_model
 
@@ -70,7 +71,6 @@ def test_what_was_kept_is_read(
     file = tmp_path / "expression_basis.npz"
     basis.save(file, face)
     read = ExpressionBasis.load(file, face, shapes)
-    assert read is not None
     assert [len(each) for each in read.changes] == [len(each) for each in basis.changes]
     for one, other in zip(read.changes, basis.changes, strict=True):
         assert np.abs(other).max() > 1e-3
@@ -82,11 +82,18 @@ def test_of_another_face_drive_or_shape_nothing_is_read(
 ) -> None:
     file = tmp_path / "expression_basis.npz"
     basis.save(file, face)
-    assert (
-        ExpressionBasis.load(file, face.driven_by(Admissible(AdmissibleLimits())), shapes) is None
-    )
-    assert ExpressionBasis.load(file, face, shapes[:1]) is None
-    assert ExpressionBasis.load(file, face, 1.01 * shapes) is None
+    limited = face.driven_by(Admissible(AdmissibleLimits()))
+    other = Face(replace(face.model, muscle_names=face.model.muscle_names[::-1]))
+    for asked, wanted, reason in (
+        (limited, shapes, "other controls or limits"),
+        (other, shapes, "another person"),
+        (face.with_weights(mix_by_stiffness(face.S, 3.0)), shapes, "another muscle geometry"),
+        (face, shapes[:1], "other expressions"),
+        (face, 1.01 * shapes, "other expressions"),
+    ):
+        with pytest.raises(InputError, match=reason) as caught:
+            ExpressionBasis.load(file, asked, wanted)
+        assert caught.value.code == "basis.other"
     file.write_bytes(b"PK")
     with pytest.raises(InputError) as caught:
         ExpressionBasis.load(file, face, shapes)

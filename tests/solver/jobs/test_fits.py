@@ -12,6 +12,7 @@ import pytest
 
 from solver.errors import InputError, SolveError
 from solver.fitting import fallback, geometry
+from solver.fitting.drives.fibre_contraction import FibreContraction
 from solver.fitting.face import Face, Pose
 from solver.fitting.reference import NotConvergedError, ReferenceSolution
 from solver.jobs import run_job
@@ -67,7 +68,23 @@ def activations(
 
 
 def warnings(steps: list[Step]) -> list[str | None]:
-    return [step.message for step in steps if step.phase == "warning"]
+    """Return the warnings but that the block has no expressions."""
+    messages = [step.message for step in steps if step.phase == "warning"]
+    assert "keeps no expressions" in str(messages[0])
+    return messages[1:]
+
+
+def test_a_rig_of_another_drive_is_refused_unless_controls_are_given(
+    files: Path, tmp_path: Path
+) -> None:
+    fibred = replace(MODEL, fibres=np.tile([1.0, 0.0, 0.0], (MODEL.weights.nnz, 1)))
+    rig = tmp_path / "rig.npz"
+    Rig(fibred, fibred.weights, (), drive=FibreContraction(fibred)).save(rig)
+    with pytest.raises(InputError, match="driven by contraction") as caught:
+        activations(files, tmp_path / "out", "wide", rig=rig, options={"controls": None})
+    assert caught.value.code == "rig.drive"
+    report, _ = activations(files, tmp_path / "out", "wide", rig=rig)
+    assert report["settings"]["controls"] == "free"
 
 
 def test_an_artifact_is_named_with_region_and_vertex(files: Path, tmp_path: Path) -> None:
@@ -100,6 +117,14 @@ def test_admissible_controls_keep_muscles_to_what_they_can_do(files: Path, tmp_p
         run_job("fit_geometry", out, options=options, captures=scan, **model)
         report = json.loads((out / "report.json").read_text())
         assert report["settings"]["controls"] == controls
+        rounds = report["rounds"]
+        assert [each["number"] for each in rounds[:3]] == [1, 2, 3]
+        loosened = [each["loosened"] for each in rounds]
+        assert loosened[:3] == [None] * 3
+        assert (loosened[-1] == 0.0) == (controls == "admissible")
+        for each in rounds:
+            assert each["mean_mm"] > 0.0 < each["objective"]
+            assert 0.0 <= each["seconds"] < report["seconds"]["geometry"]
         muscles = report["expressions"]["swollen"]["muscles"]
         beyond[controls] = [name for name, found in muscles.items() if found["faults"]]
         volume = {name: found["volume"] for name, found in muscles.items()}
@@ -125,6 +150,8 @@ def test_admissible_controls_keep_muscles_to_what_they_can_do(files: Path, tmp_p
             rig=tmp_path / "free" / "rig.npz",
         )
         report = json.loads((out / "report.json").read_text())
+        # those of the fit that S is of
+        assert len(report["rounds"]) == 3
         found = report["expressions"]["swollen"]
         means.append(found["mean_mm"])
         volumes.append(max(each["volume"] for each in found["muscles"].values()))
@@ -233,7 +260,10 @@ def test_geometry_by_ipopt_from_one_target(
     run_job("fit_geometry", tmp_path / "rig", options=options, captures=scans, model=model)
     report = json.loads((tmp_path / "rig" / "report.json").read_text())
     assert report["settings"]["solver"] == "ipopt"
-    assert [warning["code"] for warning in report["warnings"]] == ["fit.one_target"]
+    assert [warning["code"] for warning in report["warnings"]] == [
+        "recruitment.none",
+        "fit.one_target",
+    ]
     assert report["expressions"]["wide"]["mean_mm"] < 0.1
     assert report["inverted"] == 0
     before = tmp_path / "rig" / "rig.npz"

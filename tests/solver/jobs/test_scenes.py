@@ -280,12 +280,18 @@ def test_the_rig_s_basis_is_solved_once_and_left(
         return solve(*given, **how)
 
     monkeypatch.setattr(ExpressionBasis, "solve", count)
+    steps: list[Step] = []
+
+    def warnings() -> list[str]:
+        return [str(step.message) for step in steps if step.phase == "warning"]
 
     def mean_mm(folder: str, *, of: Path = rig, **left: Path) -> float:
         options = {"scene": {"recording": {"asset": "take"}}}
         out = tmp_path / folder
         captures = {"take": take}
-        run_job("animate", out, options=options, captures=captures, rig=of, **left)
+        steps.clear()
+        told = steps.append
+        run_job("animate", out, options=options, captures=captures, rig=of, progress=told, **left)
         report = json.loads((out / "animation.json").read_text())
         return float(report["blendshapes_mean_mm"])
 
@@ -293,6 +299,7 @@ def test_the_rig_s_basis_is_solved_once_and_left(
     basis = tmp_path / "first" / "expression_basis.npz"
     assert mean_mm("again", expression_basis=basis) == pytest.approx(first, abs=0.01)
     assert len(solved) == 1
+    assert not [each for each in warnings() if basis.name in each]
     assert (tmp_path / "again" / basis.name).read_bytes() == basis.read_bytes()
     mean_mm("shapes", blendshapes=tmp_path / "first" / "blendshapes.npz")
     assert len(solved) == 1
@@ -300,6 +307,8 @@ def test_the_rig_s_basis_is_solved_once_and_left(
     replace(Rig.load({"rig": rig}), weights=thinner(MODEL.weights, 2)).save(other)
     mean_mm("other", of=other, expression_basis=basis)
     assert len(solved) == 2
+    reason = "is of a rig with another muscle geometry: it is not used"
+    assert f"{basis.name} {reason}" in warnings()
 
 
 @pytest.mark.parametrize(

@@ -171,7 +171,8 @@ def test_what_can_not_be_fitted_keeps_the_pose_and_warns(
     assert found["status"].tolist() == ["fitted", "fitted", "kept", "fitted", "fitted"]
     np.testing.assert_array_equal(found["activations"][1], found["activations"][2])
     assert found["mean_mm"][3] < 0.02
-    (warning,) = [step.message for step in steps if step.phase == "warning"]
+    nobody, warning = [step.message for step in steps if step.phase == "warning"]
+    assert "no muscle is expected to pull" in str(nobody)
     assert "frame 2 keeps the pose" in warning
 
 
@@ -196,7 +197,8 @@ def test_known_activations_are_kept_to_and_disagreement_is_told(
     assert known["left"]["rms"] < 0.02
     assert known["right"]["beyond"] == 1.0
     assert known["right"]["worst"]["frame"] in {2, 3, 4}
-    (notice,) = report["notices"]
+    nobody, notice = report["notices"]
+    assert nobody["code"] == "recruitment.none"
     assert (notice["code"], notice["muscle"]) == ("activations.disagree", "right")
     assert notice["message"] in [step.message for step in steps if step.phase == "warning"]
     table.write_text("muscle,time,value,sd\nleft,3,0.1,0.1")

@@ -14,10 +14,12 @@ from solver.errors import InputError, make_warning
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel, weights_hash
 from solver.rig.expression import FORMAT, ExpressionFit
-from solver.rig.rig import Rig
+from solver.rig.rig import FitRound, Rig
 from solver.rig.system import ShapeFit, ShapeSystem, TetFit, TetSystem
 from solver.storage import Archive, read_arrays
 from tests.solver.block import block_model
+
+ROUNDS = (FitRound(1, None, 2.5, 0.4, 1.0), FitRound(2, 0.0, 1.5, 0.3, 0.5))
 
 
 @pytest.fixture
@@ -31,7 +33,9 @@ def rig() -> Rig:
     )
     fit = replace(fit, confidence=np.linspace(0.0, 1.0, len(skin)).astype(np.float32))
     notice = make_warning("model.odd", "something is odd")
-    return Rig(model, model.weights, (fit,), {"fit": 1.5}, (notice,), {"verdict": "good"})
+    return Rig(
+        model, model.weights, (fit,), {"fit": 1.5}, (notice,), {"verdict": "good"}, rounds=ROUNDS
+    )
 
 
 def check_same(one: Rig, other: Rig) -> None:
@@ -53,6 +57,7 @@ def test_a_rig_comes_back_from_its_file_and_from_its_folder(rig: Rig, tmp_path: 
         found = Rig.load(path)
         check_same(rig, found)
         assert (found.seconds, found.notices) == (rig.seconds, rig.notices)
+        assert found.rounds == ROUNDS
 
 
 def by_shapes(rig: Rig, name: str, weight: float) -> ShapeFit:
