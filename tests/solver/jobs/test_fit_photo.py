@@ -19,6 +19,7 @@ from solver.jobs import run_job
 from solver.photo.camera import PinholeCamera
 from solver.photo.mesh_points import landmark_points
 from solver.rig import Rig
+from solver.rig.frames.read_back import read_glb
 from solver.similarity import weighted_motion
 from solver.templates.builtin.build import builtin_template
 from solver.tracks.basis import MuscleTracks
@@ -155,6 +156,11 @@ def test_a_model_serves_in_the_place_of_a_rig(files: Path, tmp_path: Path) -> No
     run_job("fit_photo", tmp_path, model=tmp_path / "model.npz", **given)
     rig = Rig.load(tmp_path / "rig.npz")
     assert not rig.expressions
+    shown = read_glb(tmp_path / "rig.glb").expressions()["front"]
+    np.testing.assert_allclose(shown, rig.systems["B"].expressions[0].skin, atol=1e-3)
+    assert json.loads((tmp_path / "report.json").read_text())["system"] == "B"
+    assert (tmp_path / "fit_front.png").is_file()
+    assert "front: the fit that rig.glb shows" in (tmp_path / "report.html").read_text()
     assert (rig.model.rest == MODEL.rest).all()
     assert off(rig.systems["B"].expressions[0].skin, smile()) < 0.5 * off(NEUTRAL, smile())
 
