@@ -233,7 +233,7 @@ def _fit(
         "film": {"size": list(marks.size), "camera": fitter.camera_values},
         "missing": {str(number): code for number, code in marks.missing.items()},
         "faults": {str(number): reason for number, reason in fitter.faults.items()},
-        "notices": [each.as_dict() for each in closed],
+        "notices": [each.as_dict() for each in (*marks.oddities(source.name), *closed)],
     }
     animated, report["files"] = write_animated(out, fitter.skin, model, given.fps)
     beside: dict[str, Any] = {"shapes": driven.tracks.names, "picture": marks.size}

@@ -20,6 +20,7 @@ from solver.jobs.photos import read_faces
 from solver.kinds.fit_photo import FitPhoto
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.linear import fastest
+from solver.photo.compared import find_unexplained
 from solver.photo.expression import (
     ExpressionOptions,
     PhotoExpression,
@@ -81,7 +82,7 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     moments = _moments(given, photos)
     points = landmark_points(template)
     others = somebody_else(template, model.skin.vertices, photos, points)
-    for name, nats in others.items():
+    for name, nats in others.nats.items():
         findings[name] += find_other_person(name, nats, "the person of the model")
     face = rig.face(linear)
     check_held(face)
@@ -103,6 +104,9 @@ def run(task: Task[FitPhoto]) -> list[Path]:
         part = fits.JobPart(0.1, 0.5).part(number, len(moments))
         listen = log.listener(SYSTEMS[letter].replace(" ", "_"), name, part, given.max_iterations)
         found = fitter.fit(name, [photos[each] for each in taken], lights, listen)
+        compared = () if found.result is None else found.result.compared
+        for photo, skin in zip(taken, compared, strict=False):  # nothing without shading
+            findings[photo] += find_unexplained(photo, skin)
         noticed = [each for photo in taken for each in findings[photo]]
         fitted.append(log.about(found.shape, part.end, [*found.shape.notices, *noticed]))
         shown[name] = found

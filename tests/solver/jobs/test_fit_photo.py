@@ -206,6 +206,31 @@ def test_a_photograph_that_shows_no_skin_is_refused(files: Path, tmp_path: Path)
     assert error.value.code == "photo.no_skin"
 
 
+def test_what_a_photograph_leaves_unexplained_is_told(files: Path, tmp_path: Path) -> None:
+    """A pattern before half of the face, a landmark of an iris, a turn of 50 degrees."""
+    photograph(files, "hidden", smile(), 0.0)
+    pixels = np.array(Image.open(files / "hidden.jpg"))
+    stripes = 255 * (np.arange(SIZE[0]) // 12 % 2)
+    pixels[SIZE[1] // 2 :, :] = 40 + stripes[:, None] * np.array([0.6, 0.7, 0.5])
+    Image.fromarray(pixels).save(files / "hidden.jpg", quality=95)
+    photograph(files, "aside", smile(), 50.0)
+    for name, extra in (("hidden", {"468": [130.0, 160.0]}), ("aside", {})):
+        facts = files / f"{name}.json"
+        known = json.loads(facts.read_text())
+        facts.write_text(json.dumps({"landmarks": known["landmarks"] | extra}))
+    _, told = fit(files, tmp_path, "front", "hidden", "aside", model="shapes")
+    figures = {name: each["photos"][name] for name, each in told["expressions"].items()}
+    assert figures["front"]["skin_unexplained"] < 0.02
+    assert 0.85 < figures["front"]["skin_compared"] < 1.0
+    assert figures["hidden"]["skin_unexplained"] > 0.2
+    codes = {(each["file"], each["code"]) for each in told["notices"]}
+    wanted = {("hidden", "photo.unexplained"), ("hidden", "photo.left_out")}
+    assert wanted | {("aside", "photo.profile")} <= codes
+    assert not any(name == "front" for name, _ in codes)
+    (left,) = (each for each in told["notices"] if each["code"] == "photo.left_out")
+    assert (left["landmarks"], left["curves"]) == (["468"], [])
+
+
 def test_a_curve_of_another_place_is_refused(files: Path, tmp_path: Path) -> None:
     corner = [[5, 5], [60, 5], [60, 40], [5, 40], [5, 5]]
     photograph(files, "traced", smile(), 0.0, curves={"lips_outer": corner})
