@@ -30,6 +30,7 @@ from solver.jobs.sequences import (
 )
 from solver.kinds.fit_photo import FitPhoto
 from solver.live.landmarks import IMAGE_AXES
+from solver.photo.archive import CAMERA
 from solver.photo.camera import PinholeCamera
 from solver.photo.detect import Box
 from solver.photo.expression import marks_of, read_neutral
@@ -51,8 +52,6 @@ from solver.tracks.plain import PlainFace
 
 MOST_SHOTS = 6  # frames in the picture
 FOUND = 0.1  # part of a job after which landmarks are found
-
-CAMERA = ("focal", "centre", "rotation", "translation")  # arrays of a camera
 
 
 class FilmFitter(FrameFitter[ShapeFrame]):

@@ -20,6 +20,8 @@ from solver.jobs.photos import read_faces
 from solver.kinds.fit_photo import FitPhoto
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.linear import fastest
+from solver.photo.archive import FILE as PHOTO_FILE
+from solver.photo.archive import photo_archive
 from solver.photo.compared import find_unexplained
 from solver.photo.expression import (
     ExpressionOptions,
@@ -122,21 +124,17 @@ def run(task: Task[FitPhoto]) -> list[Path]:
         "photo": given.model_dump(exclude={"linear_solver"}),
     }
     results = {name: each.result for name, each in shown.items() if each.result is not None}
+    taken_at = {name: [photos[each] for each in taken] for name, taken in moments.items()}
     figures = {
-        name: photo_figures(
-            [photos[each] for each in moments[name]], result, points, shown[name].placed, others
-        )
+        name: photo_figures(taken_at[name], result, points, shown[name].placed, others)
         for name, result in results.items()
     }
-    own = [task.out / name for name in ("photo.json", "photo.png")]
+    own = [task.out / name for name in ("photo.json", "photo.png", PHOTO_FILE)]
     notices = [each.as_dict() for found in findings.values() for each in found]
     write_json(own[0], {"model": given.model, "notices": notices, "expressions": figures})
-    seen = [
-        each
-        for name, result in results.items()
-        for each in seen_faces([photos[photo] for photo in moments[name]], result)
-    ]
+    seen = [each for name, result in results.items() for each in seen_faces(taken_at[name], result)]
     photo_picture(model, seen, points, own[1])
+    photo_archive(model, taken_at, results, fitter.options.fit.loss).write(own[2])
     ending = part_of(progress, 0.5)
     information = known_information(rig)
     files = fits.leave_rig(face, whole, settings, task.out, ending, information)

@@ -11,7 +11,7 @@ from solver.errors import Finding, make_warning
 from solver.photo.camera import PinholeCamera
 from solver.photo.shading import CHANNELS, ShadingTerm
 from solver.photo.terms import PseudoHuber
-from solver.surface import Floats
+from solver.surface import Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,7 @@ class ComparedSkin:
     share: float  # of the face's visible skin
     # share of these samples that neither light nor albedo explains: glasses, a hand, beard, hair
     unexplained: float
+    vertices: Ints  # (k,) of the skin that samples lie at
 
     @classmethod
     def of(
@@ -54,7 +55,8 @@ class ComparedSkin:
         away = term.noise * term.residual(skin, camera).reshape(-1, CHANNELS)
         noise = options.noise * float(term.seen(skin, camera).mean())
         weights = loss.weights(np.sqrt((away**2).mean(axis=1)) / noise)
-        return cls(term.share, float((weights < options.least_weight).mean()))
+        unexplained = float((weights < options.least_weight).mean())
+        return cls(term.share, unexplained, np.unique(term.samples.corners))
 
     def figures(self) -> dict[str, float]:
         """Return the shares as JSON values."""

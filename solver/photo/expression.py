@@ -104,6 +104,7 @@ class PhotoExpression(Generic[State]):
     fit: LeastSquaresSolution[PhotoPoint[State]]
     # the fit to landmarks alone, which it begins with
     landmarks: LeastSquaresSolution[PhotoPoint[State]]
+    marks: tuple[LandmarkTerm, ...]  # of each photograph, as they were compared
     appearances: tuple[Appearance, ...]  # one for each photograph; none without shading
     compared: tuple[ComparedSkin, ...] = ()  # the same of the skin
 
@@ -134,8 +135,9 @@ def fit_expression(
     surface = face.face.model.skin.with_vertices(face.skin(begun))
     views, head = place_views(photos, points, surface, options)
     by_landmarks = fit_photos(face, views, begun, head, options.fit, listen)
+    marks = tuple(term for view in views for term in view.terms if isinstance(term, LandmarkTerm))
     if options.shading is None:
-        return PhotoExpression(by_landmarks, by_landmarks, ())
+        return PhotoExpression(by_landmarks, by_landmarks, marks, ())
     skin = face.face.model.skin.with_vertices(by_landmarks.point.skin)
     blocked = blocked_light(skin)
     shaded = []
@@ -161,7 +163,7 @@ def fit_expression(
         ComparedSkin.of(term, found.point.skin, camera, options.fit.loss, options.shading.compared)
         for term, camera in zip(terms, found.point.cameras, strict=True)
     ]
-    return PhotoExpression(found, by_landmarks, tuple(looks), tuple(compared))
+    return PhotoExpression(found, by_landmarks, marks, tuple(looks), tuple(compared))
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,13 @@ from solver.drawing.head import DrawnHead
 from solver.drawing.render import rasterise
 from solver.errors import InputError
 from solver.jobs import run_job
+from solver.photo.archive import CAMERA
 from solver.photo.camera import PinholeCamera
 from solver.photo.mesh_points import landmark_points
 from solver.rig import Rig
 from solver.rig.frames.read_back import read_glb
 from solver.similarity import weighted_motion
+from solver.storage import Archive
 from solver.templates.builtin.build import builtin_template
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.shapes import template_shapes
@@ -131,9 +133,32 @@ def test_a_moment_of_two_photographs_and_a_face_at_rest(files: Path, tmp_path: P
     apart = [np.array(each["camera"]["rotation"]) for each in cameras.values()]
     turned = Rotation.from_matrix(apart[0].T @ apart[1]).magnitude()
     assert np.degrees(turned) == pytest.approx(30.0, abs=3.0)
+    check_kept(tmp_path, rig, told)
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["systems"]["smile"]["T"]["mean_mm"] is None
     assert Image.open(tmp_path / "photo.png").height > 1000
+
+
+def check_kept(folder: Path, rig: Rig, told: dict[str, Any]) -> None:
+    """Check that photo.npz has what photo.json rounds: cameras, and landmarks by them."""
+    kept = Archive.read(folder / "photo.npz", "photo", "a file of photographs", 1)
+    arrays = kept.arrays
+    assert kept.header["expressions"] == {"smile": ["front", "left"], "rest": ["rest"]}
+    assert kept.header["model_sha256"] == MODEL.sha256
+    row = kept.header["photos"].index("left")
+    seen_by = PinholeCamera(*(arrays[f"camera_{name}"][row] for name in CAMERA))
+    figures = told["expressions"]["smile"]["photos"]["left"]
+    np.testing.assert_allclose(seen_by.translation, figures["camera"]["translation"], atol=1e-3)
+    assert not np.array_equal(seen_by.translation, figures["camera"]["translation"])
+    own = arrays["landmark_photo"] == row
+    points = landmark_points(builtin_template()).select(arrays["landmark_names"][own].tolist())
+    skin = next(each.skin for each in rig.systems["T"].expressions if each.name == "smile")
+    fitted = arrays["landmark_px"][own] + arrays["landmark_residual_px"][own]
+    np.testing.assert_allclose(seen_by.project(points.at(skin))[:, :2], fitted, atol=0.01)
+    assert arrays["landmark_weights"].shape == (len(own), 2)
+    assert arrays["light"].shape == (3, 9, 3)
+    assert arrays["albedo"].shape == (3, len(MODEL.face), 3) == (*arrays["albedo_seen"].shape, 3)
+    assert 0.3 < arrays["albedo_seen"].mean() < 1.0
 
 
 def test_plain_shapes_by_landmarks_alone(files: Path, tmp_path: Path) -> None:
