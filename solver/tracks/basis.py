@@ -330,7 +330,7 @@ class TrackTargets:
         lengths = tracks.lines.lengths(model.rest)
         _, volumes = shape_gradients(model.rest, model.tets)
         tensors = fibre_tensors(model, volumes, model.weights)
-        self.has_fibres = np.isfinite(tensors).all(axis=(1, 2))
+        self.has_fibres = np.asarray(np.isfinite(tensors).all(axis=(1, 2)))
         # (m,) muscles with a line and fibres; the others stay as passive flesh
         self.driven = (lengths > 0.0) & self.has_fibres
         self._rest_lengths = lengths[self.driven]
