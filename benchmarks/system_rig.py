@@ -15,7 +15,7 @@ from myoface.demo.outcome import khronos_validation
 from solver.cache import cache_directory
 from solver.rig import ExpressionFit, Rig
 from solver.rig.exporters import export_measured
-from solver.rig.report.systems import SYSTEMS, SystemMeasures, fits_by_system
+from solver.rig.report.systems import SYSTEMS, SystemMeasures
 
 MB = 1e6
 # figure -> exporter and its file
@@ -42,7 +42,7 @@ def rig_figures(rig: Rig) -> Figures:
     measures = SystemMeasures.of(read)
     found["systems"] = {
         system: _summary([measures.figures(fit) for fit in fits], fits)
-        for system, fits in fits_by_system(read).items()
+        for system, fits in read.fits_by_system.items()
     }
     log.info("rig: %s", found)
     return found

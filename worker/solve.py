@@ -188,11 +188,19 @@ def solve(
 
 
 def _describe(file: Path, *, is_rig: bool) -> dict[str, Any]:
-    """Return what a job tells of its results; a rig's expressions are told apart."""
+    """Return what a job tells of its results; a rig's expressions are told apart.
+
+    They are those that its files show: of its muscles, else of its default system.
+    """
     summary = json.loads(file.read_text())
     if not isinstance(summary, dict):
         raise TypeError(f"{file.name} is no JSON object")
-    expressions = list(summary.pop("expressions", ())) if is_rig else []
+    if not is_rig:
+        return {"expressions": [], "summary": summary}
+    shown = (
+        name for name, fits in summary.get("systems", {}).items() if summary.get("system") in fits
+    )
+    expressions = list(summary.pop("expressions", ())) or list(shown)
     return {"expressions": expressions, "summary": summary}
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -13,8 +13,8 @@ import numpy as np
 
 from solver.anatomy.template import CORRECTED
 from solver.anatomy.tetrahedra import volumes
-from solver.errors import SolveError
-from solver.fitting.target_checks import before_fit
+from solver.errors import Finding, SolveError, count_words, make_warning, quote_names
+from solver.fitting.target_checks import before_fit, idle_muscles
 from solver.jobs import Task, fits, read_template
 from solver.kinds.build_tracks import BuildTracks
 from solver.mechanics.linear import fastest
@@ -24,10 +24,14 @@ from solver.progress import ProgressCallback, Step
 from solver.rig.pictures import TrackShot, tracks_picture
 from solver.storage import write_json
 from solver.surface import Floats
-from solver.tracks.basis import MuscleTracks, TrackOptions, TrackTargets
+from solver.tracks.basis import MuscleTracks, TrackOptions
 from solver.tracks.face import TrackFace, track_potentials
 from solver.tracks.own_shapes import PREFIX, OwnShapes, with_own_shapes
 from solver.tracks.shapes import template_shapes
+
+
+# part of all tets; jaw, folds and lips of a template's shapes turn half of it
+TURNED = 0.01
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,8 @@ def run(task: Task[BuildTracks]) -> list[Path]:
     shapes = template_shapes(model, read_template(task).shapes)
     scans = fits.read_scans(model, task.captures) if task.captures else {}
     odd = before_fit(model, scans)
-    fits.WarningLog(model, progress).warn(0.05, odd)
+    log = fits.WarningLog(model, progress)
+    log.warn(0.05, odd)
     progress(Step("tracks", 0.1))
     options = TrackOptions(given.bones, given.length_mm, given.stiffness, given.law)
     begun = time.perf_counter()
@@ -60,9 +65,13 @@ def run(task: Task[BuildTracks]) -> list[Path]:
     own = with_own_shapes(model, tracks, scans) if scans else OwnShapes(tracks, {})
     files = [task.out / name for name in ("tracks.npz", "tracks.json", "tracks.png")]
     own.tracks.save(files[0])
-    shots = _try(model, own.tracks, _shown(model, shapes, scans), progress)
-    figures = _figures(model, own, shots)
-    notices = [*figures["notices"], *(each.message for each in odd)]
+    face = TrackFace(model, own.tracks, track_potentials(model), linear=fastest())
+    shots = _try(face, _shown(model, shapes, scans), progress)
+    figures = _figures(face, own, shots)
+    found = [*_passive_muscles(face), *_turned_shapes(figures["shapes"], len(model.tets))]
+    log.warn(0.9, found)
+    known = [make_warning("tracks.shapes", words) for words in tracks.notices]
+    notices = [each.as_dict() for each in (*known, *odd, *found)]
     write_json(files[1], {**figures, "notices": notices, "precompute_s": round(seconds, 2)})
     progress(Step("pictures", 0.95))
     tracks_picture(model, shots, files[2])
@@ -93,19 +102,15 @@ def _shown(
 
 
 def _try(
-    model: SubjectModel,
-    tracks: MuscleTracks,
-    shown: Mapping[str, Floats],
-    progress: ProgressCallback,
+    face: TrackFace, shown: Mapping[str, Floats], progress: ProgressCallback
 ) -> list[TrackShot]:
     """Go from rest to each of the skins that are ``shown``."""
-    face = TrackFace(model, tracks, track_potentials(model), linear=fastest())
     rest = face.rest()
     shots = []
     for number, (name, target) in enumerate(shown.items()):
         progress(Step("try", 0.2 + 0.7 * number / len(shown), number, message=name))
         try:
-            state = face.move(rest, tracks.whole(name))
+            state = face.move(rest, face.tracks.whole(name))
         except SolveError as error:
             progress(Step("warning", 0.2, message=f"{name} alone comes to no rest: {error}"))
             shots.append(TrackShot(name, target, None, 0))
@@ -114,12 +119,41 @@ def _try(
     return shots
 
 
-def _figures(model: SubjectModel, own: OwnShapes, shots: list[TrackShot]) -> dict[str, Any]:
+def _passive_muscles(face: TrackFace) -> Iterator[Finding]:
+    """Yield the notice ``tracks.passive`` about muscles that no shape makes contract."""
+    no_flesh = {each.context["muscle"] for each in idle_muscles(face.face)}
+    lacks = {}
+    for number, name in enumerate(face.model.muscle_names):
+        if name in no_flesh:
+            lacks[name] = "flesh"
+        elif not face.targets.driven[number]:
+            lacks[name] = "line" if face.targets.has_fibres[number] else "fibres"
+    if lacks:
+        named = quote_names([f"{name} (no {lack})" for name, lack in lacks.items()])
+        words = count_words(len(lacks), "muscle stays", "muscles stay")
+        message = f"{words} passive in every shape: {', '.join(named)}"
+        yield make_warning("tracks.passive", message, {"muscles": lacks})
+
+
+def _turned_shapes(shapes: Sequence[Mapping[str, Any]], tets: int) -> Iterator[Finding]:
+    """Yield the notice ``tracks.turned`` about shapes whose morph turns many tets inside out."""
+    many = TURNED * tets
+    turned = {each["name"]: each["turned_tets"] for each in shapes if each["turned_tets"] > many}
+    if turned:
+        named = quote_names([f"{name} ({count})" for name, count in turned.items()])
+        words = count_words(len(turned), "shape turns", "shapes turn")
+        message = (
+            f"{words} tets inside out at weight 1, where flesh does not follow: {', '.join(named)}"
+        )
+        yield make_warning("tracks.turned", message, {"shapes": turned})
+
+
+def _figures(face: TrackFace, own: OwnShapes, shots: list[TrackShot]) -> dict[str, Any]:
+    model = face.model
     tracks = own.tracks
-    targets = TrackTargets(model, tracks)
     shapes = []
     for number, name in enumerate(tracks.names):
-        pose = targets.at(tracks.whole(name))
+        pose = face.targets.at(tracks.whole(name))
         shape = {
             "name": name,
             "jaw": tracks.jaw[number].round(5).tolist(),
@@ -150,7 +184,6 @@ def _figures(model: SubjectModel, own: OwnShapes, shots: list[TrackShot]) -> dic
         "shapes": shapes,
         "muscles": muscles,
         "tried": [shot.figures(model.face) for shot in shots],
-        "notices": list(tracks.notices),
     }
 
 

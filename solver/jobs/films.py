@@ -30,6 +30,7 @@ from solver.jobs.sequences import (
 )
 from solver.kinds.fit_photo import FitPhoto
 from solver.live.landmarks import IMAGE_AXES
+from solver.photo.archive import CAMERA
 from solver.photo.camera import PinholeCamera
 from solver.photo.detect import Box
 from solver.photo.expression import marks_of, read_neutral
@@ -51,8 +52,6 @@ from solver.tracks.plain import PlainFace
 
 MOST_SHOTS = 6  # frames in the picture
 FOUND = 0.1  # part of a job after which landmarks are found
-
-CAMERA = ("focal", "centre", "rotation", "translation")  # arrays of a camera
 
 
 class FilmFitter(FrameFitter[ShapeFrame]):
@@ -233,7 +232,7 @@ def _fit(
         "film": {"size": list(marks.size), "camera": fitter.camera_values},
         "missing": {str(number): code for number, code in marks.missing.items()},
         "faults": {str(number): reason for number, reason in fitter.faults.items()},
-        "notices": [each.as_dict() for each in closed],
+        "notices": [each.as_dict() for each in (*marks.oddities(source.name), *closed)],
     }
     animated, report["files"] = write_animated(out, fitter.skin, model, given.fps)
     beside: dict[str, Any] = {"shapes": driven.tracks.names, "picture": marks.size}

@@ -20,6 +20,9 @@ from solver.jobs.photos import read_faces
 from solver.kinds.fit_photo import FitPhoto
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.linear import fastest
+from solver.photo.archive import FILE as PHOTO_FILE
+from solver.photo.archive import photo_archive
+from solver.photo.compared import find_unexplained
 from solver.photo.expression import (
     ExpressionOptions,
     PhotoExpression,
@@ -81,7 +84,7 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     moments = _moments(given, photos)
     points = landmark_points(template)
     others = somebody_else(template, model.skin.vertices, photos, points)
-    for name, nats in others.items():
+    for name, nats in others.nats.items():
         findings[name] += find_other_person(name, nats, "the person of the model")
     face = rig.face(linear)
     check_held(face)
@@ -103,6 +106,9 @@ def run(task: Task[FitPhoto]) -> list[Path]:
         part = fits.JobPart(0.1, 0.5).part(number, len(moments))
         listen = log.listener(SYSTEMS[letter].replace(" ", "_"), name, part, given.max_iterations)
         found = fitter.fit(name, [photos[each] for each in taken], lights, listen)
+        compared = () if found.result is None else found.result.compared
+        for photo, skin in zip(taken, compared, strict=False):  # nothing without shading
+            findings[photo] += find_unexplained(photo, skin)
         noticed = [each for photo in taken for each in findings[photo]]
         fitted.append(log.about(found.shape, part.end, [*found.shape.notices, *noticed]))
         shown[name] = found
@@ -118,21 +124,17 @@ def run(task: Task[FitPhoto]) -> list[Path]:
         "photo": given.model_dump(exclude={"linear_solver"}),
     }
     results = {name: each.result for name, each in shown.items() if each.result is not None}
+    taken_at = {name: [photos[each] for each in taken] for name, taken in moments.items()}
     figures = {
-        name: photo_figures(
-            [photos[each] for each in moments[name]], result, points, shown[name].placed, others
-        )
+        name: photo_figures(taken_at[name], result, points, shown[name].placed, others)
         for name, result in results.items()
     }
-    own = [task.out / name for name in ("photo.json", "photo.png")]
+    own = [task.out / name for name in ("photo.json", "photo.png", PHOTO_FILE)]
     notices = [each.as_dict() for found in findings.values() for each in found]
     write_json(own[0], {"model": given.model, "notices": notices, "expressions": figures})
-    seen = [
-        each
-        for name, result in results.items()
-        for each in seen_faces([photos[photo] for photo in moments[name]], result)
-    ]
+    seen = [each for name, result in results.items() for each in seen_faces(taken_at[name], result)]
     photo_picture(model, seen, points, own[1])
+    photo_archive(model, taken_at, results, fitter.options.fit.loss).write(own[2])
     ending = part_of(progress, 0.5)
     information = known_information(rig)
     files = fits.leave_rig(face, whole, settings, task.out, ending, information)

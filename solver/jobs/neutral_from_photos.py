@@ -17,7 +17,7 @@ from solver.meshio.registered import write_registered
 from solver.model import SIZE_WORDS
 from solver.photo.identity import IdentityFit, IdentityOptions, fit_identity
 from solver.photo.mesh_points import landmark_points
-from solver.photo.other_person import find_other_person, not_as_the_rest
+from solver.photo.other_person import JudgedPhotos, find_other_person, not_as_the_rest
 from solver.photo.photo import Photo
 from solver.photo.report import camera_figures, identity_picture
 from solver.progress import Step
@@ -44,7 +44,7 @@ def run(task: Task[NeutralFromPhotos]) -> list[Path]:
     photos = [*named.values()]
     points = landmark_points(template)
     others = not_as_the_rest(template, named, points)
-    for name, nats in others.items():
+    for name, nats in others.nats.items():
         findings[name] += find_other_person(name, nats, "who is in the rest of the photographs")
     progress(Step("fit", 0.2))
     found = fit_identity(template, photos, points, _options(given))
@@ -75,7 +75,7 @@ def _report(
     found: IdentityFit,
     points: SkinPoints,
     findings: dict[str, list[Finding]],
-    others: dict[str, float],
+    others: JudgedPhotos,
 ) -> dict[str, Any]:
     """Return what is told of an estimate as JSON values."""
     odd = [each for name in findings for each in findings[name]]
@@ -90,9 +90,8 @@ def _report(
         told[photo.name] = {
             **camera_figures(photo, found.cameras[row], found.skins[row], points),
             "weights": weights,
+            **others.figures(photo.name),
         }
-        if photo.name in others:
-            told[photo.name]["somebody_else_nats"] = round(others[photo.name], 2)
     return {
         "notices": [each.as_dict() for each in notices],
         "size_from": "photographs",

@@ -12,10 +12,10 @@ from solver.errors import Finding, InputError, quote_names
 from solver.jobs import Task
 from solver.kinds import MOST_PHOTOS
 from solver.landmarker import HELP, landmarker_file
-from solver.photo.detect import Box, find_face, judge_size
+from solver.photo.detect import Box, find_face, judge_size, judge_turn
 from solver.photo.expression import begin_camera
 from solver.photo.mesh_points import landmark_points
-from solver.photo.oddities import find_oddities
+from solver.photo.oddities import find_left_out, find_oddities
 from solver.photo.photo import Photo
 from solver.photo.read import read_photo
 from solver.registration.detector import FaceDetector
@@ -78,8 +78,12 @@ def read_faces(
     unmarked = [name for name, photo in photos.items() if not photo.landmarks]
     points = landmark_points(template)
     for name, photo in photos.items():
+        findings[name] += find_left_out(photo, points)
+        if not photo.landmarks:
+            continue
+        camera, _ = begin_camera(photo, points, template.skin.vertices)
+        findings[name] += judge_turn(name, camera.yaw)
         if photo.eyes_px is not None:
-            camera, _ = begin_camera(photo, points, template.skin.vertices)
             findings[name] += judge_size(name, photo.eyes_px, camera.yaw)
     if unmarked:
         with FaceDetector(find_landmarker(unmarked[0])) as detector:

@@ -15,6 +15,7 @@ from solver.registration.detector import DetectedFace, FaceDetector
 from solver.surface import Floats
 
 Box = tuple[float, float, float, float]  # left, top, right and bottom, px
+TURNED = "the face is turned aside, so that half of it is hidden or nearly so"
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class FaceLimits:
     eyes_px: tuple[float, float] = (60.0, 30.0)
     # of a face to the side as the detector has it, which tells about 50 of 60 degrees
     turned_deg: tuple[float, float] = (38.0, 50.0)
+    given_turned_deg: float = 45.0  # the same of given landmarks, which are true to the face
     outside: tuple[float, float] = (0.05, 0.4)  # share of landmarks that the picture does not have
 
 
@@ -177,11 +179,7 @@ def _judge(photo: Photo, face: DetectedFace, limits: FaceLimits) -> Iterator[Fin
     about = {"box": [round(side) for side in face.box]}
     yield from judge_size(photo.name, face.eyes_px, face.yaw, limits, **about)
     cases = (
-        (
-            "photo.profile",
-            (turned > turn[0], turned > turn[1]),
-            "the face is turned aside, so that half of it is hidden or nearly so",
-        ),
+        ("photo.profile", (turned > turn[0], turned > turn[1]), TURNED),
         (
             "photo.cut_off",
             (outside > cut[0], outside > cut[1]),
@@ -206,6 +204,18 @@ def judge_size(
         f"{wanted:.0f} are wanted and {needed:.0f} needed"
     )
     yield from _grade("photo.small", (eyes < wanted, eyes < needed), message, file=name, **about)
+
+
+def judge_turn(name: str, yaw: float, limits: FaceLimits = FACE_LIMITS) -> Iterator[Finding]:
+    """Yield the warning ``photo.profile`` about a photograph whose landmarks are given.
+
+    The face is turned aside by ``yaw``, rad. It is not refused: of a profile in a moment of several
+    photographs its landmarks are worth as much as those of the others.
+    """
+    turned = float(np.degrees(yaw))
+    if turned > limits.given_turned_deg:
+        message = f"{name}: {TURNED}, by {turned:.0f} degrees"
+        yield make_warning("photo.profile", message, {"file": name})
 
 
 def _grade(code: str, marks: tuple[bool, bool], message: str, **about: Any) -> Iterator[Finding]:

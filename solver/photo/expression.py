@@ -20,6 +20,7 @@ from solver.drawing.render import GAMMA
 from solver.errors import InputError
 from solver.fitting.least_squares import LeastSquaresSolution, Listener
 from solver.photo.camera import PinholeCamera
+from solver.photo.compared import ComparedOptions, ComparedSkin
 from solver.photo.fit import FocalPrior, PhotoFitOptions, PhotoPoint, PhotoView, fit_photos
 from solver.photo.light import (
     Appearance,
@@ -59,6 +60,9 @@ class CurveOptions:
     far_mm: float = 30.0  # from the middle of that line's landmarks: it was traced somewhere else
 
 
+CURVE_OPTIONS = CurveOptions()
+
+
 @dataclass(frozen=True)
 class ShadingOptions:
     """The comparison of a picture with the shaded skin."""
@@ -70,6 +74,7 @@ class ShadingOptions:
     independent: int = 20  # of so many samples each counts by itself
     samples: PixelOptions = field(default_factory=PixelOptions)
     light: LightOptions = field(default_factory=LightOptions)
+    compared: ComparedOptions = field(default_factory=ComparedOptions)
 
 
 @dataclass(frozen=True)
@@ -99,7 +104,9 @@ class PhotoExpression(Generic[State]):
     fit: LeastSquaresSolution[PhotoPoint[State]]
     # the fit to landmarks alone, which it begins with
     landmarks: LeastSquaresSolution[PhotoPoint[State]]
+    marks: tuple[LandmarkTerm, ...]  # of each photograph, as they were compared
     appearances: tuple[Appearance, ...]  # one for each photograph; none without shading
+    compared: tuple[ComparedSkin, ...] = ()  # the same of the skin
 
     @property
     def steps(self) -> int:
@@ -128,12 +135,14 @@ def fit_expression(
     surface = face.face.model.skin.with_vertices(face.skin(begun))
     views, head = place_views(photos, points, surface, options)
     by_landmarks = fit_photos(face, views, begun, head, options.fit, listen)
+    marks = tuple(term for view in views for term in view.terms if isinstance(term, LandmarkTerm))
     if options.shading is None:
-        return PhotoExpression(by_landmarks, by_landmarks, ())
+        return PhotoExpression(by_landmarks, by_landmarks, marks, ())
     skin = face.face.model.skin.with_vertices(by_landmarks.point.skin)
     blocked = blocked_light(skin)
     shaded = []
     looks = []
+    terms = []
     for photo, view, camera in zip(photos, views, by_landmarks.point.cameras, strict=True):
         given = (lights or {}).get(photo.name)
         term, look = shading_of(
@@ -142,6 +151,7 @@ def fit_expression(
         own = view.camera if view.is_placed else camera
         shaded.append(replace(view, camera=own, terms=(*view.terms, term)))
         looks.append(look)
+        terms.append(term)
     point = by_landmarks.point
 
     def further(step: int, value: float) -> None:
@@ -149,7 +159,11 @@ def fit_expression(
             listen(by_landmarks.steps + step, value)
 
     found = fit_photos(face, shaded, point.state, point.head, options.fit, further)
-    return PhotoExpression(found, by_landmarks, tuple(looks))
+    compared = [
+        ComparedSkin.of(term, found.point.skin, camera, options.fit.loss, options.shading.compared)
+        for term, camera in zip(terms, found.point.cameras, strict=True)
+    ]
+    return PhotoExpression(found, by_landmarks, marks, tuple(looks), tuple(compared))
 
 
 @dataclass(frozen=True)
@@ -203,7 +217,7 @@ def shading_of(
     blocked: Floats,
     options: ShadingOptions,
     given: Appearance | None = None,
-) -> tuple[ImageTerm, Appearance]:
+) -> tuple[ShadingTerm, Appearance]:
     """Return the term of a picture's shading, and light and albedo, found unless ``given``.
 
     Its noise is what these leave of the picture on the ``skin`` that the fit begins with.
@@ -218,7 +232,7 @@ def shading_of(
     detail = max(options.detail_mm * px_per_mm, 0.7)
     every = max(round(detail), 1)
     inside = replace(camera, centre=camera.centre - (left, top))
-    samples = visible_samples(skin, vertices, inside, pixels, every, mask, options.samples)
+    samples, share = visible_samples(skin, vertices, inside, pixels, every, mask, options.samples)
     if len(samples.corners) < options.samples.least:
         message = (
             f"{photo.name}: too little skin is left to compare with the picture: what of the face "
@@ -235,7 +249,7 @@ def shading_of(
     unexplained = float(np.sqrt(np.mean(term.residual(skin.vertices, camera) ** 2)))
     noise = max(options.least_noise * float(colours.mean()), unexplained)
     count = max(len(samples.corners) / options.independent, 1.0)
-    return replace(term, noise=noise * np.sqrt(count)), look
+    return replace(term, noise=noise * np.sqrt(count), share=share), look
 
 
 def place_views(
@@ -311,8 +325,8 @@ def _curve_terms(
     """
     terms: list[ImageTerm] = []
     for name, traced in photo.curves.items():
-        line = points.select([number for number in LINES[name] if points.has(number)])
-        if len(line.names) < options.least_points:
+        line = line_of(name, points, options)
+        if line is None:  # which is told as an oddity
             continue
         marked = [photo.landmarks[each] for each in line.names if each in photo.landmarks]
         if marked:
@@ -325,6 +339,12 @@ def _curve_terms(
         repeated = np.sqrt(max(len(places) / options.independent, 1.0))
         terms.append(CurveTerm(line, places, float(spread * px_per_mm * repeated)))
     return terms
+
+
+def line_of(name: str, points: SkinPoints, options: CurveOptions) -> SkinPoints | None:
+    """Return the skin's line that a curve is of; None where too few of its points are known."""
+    line = points.select([number for number in LINES[name] if points.has(number)])
+    return None if len(line.names) < options.least_points else line
 
 
 def evenly(curve: Floats, step: float) -> Floats:

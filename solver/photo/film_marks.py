@@ -7,17 +7,18 @@ What is seen for a moment alone is no face: detectors take a lamp or a hand for 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 
-from solver.errors import InputError
+from solver.errors import Finding, InputError, count_words, make_warning, quote_names
 from solver.photo.detect import Box, FaceLimits, PhotoFace, find_face
 from solver.photo.footage import Footage
+from solver.photo.oddities import find_oddities
 from solver.photo.photo import Photo
 from solver.registration.detector import FaceDetector
 from solver.surface import Floats
@@ -27,6 +28,10 @@ UNSEEN = (
     *("photo.no_face", "photo.faces", "photo.small", "photo.profile", "photo.cut_off"),
     "photo.mask_empty",
 )
+ODD = {
+    "photo.blurred": "a blurred face",
+    "photo.exposure": "a face in too much light or too little",
+}
 BRIEF = "photo.brief"  # of a frame whose face is seen for a moment alone
 
 
@@ -39,6 +44,7 @@ class MarkOptions:
     least_run: int = 3  # frames after one another in which a face has to be seen
     near: float = 1.0  # from its place in the frame before, of its size: the same face ...
     away: int = 5  # ... and anywhere after so many frames in which it is not seen
+    judged: int = 100  # frames at most, all over the film, whose light and sharpness are looked at
 
 
 MARK_OPTIONS = MarkOptions()
@@ -51,6 +57,16 @@ class FilmMarks:
     landmarks: Mapping[int, Mapping[str, Floats]]
     missing: Mapping[int, str]
     size: tuple[int, int]  # of the pictures, px
+    judged: int = 0  # frames that were looked at for oddities
+    odd: Mapping[str, Sequence[int]] = field(default_factory=dict)  # code -> those that are
+
+    def oddities(self, name: str) -> Iterator[Finding]:
+        """Yield what is odd about frames of the film ``name``, each oddity once."""
+        for code, numbers in self.odd.items():
+            words = count_words(len(numbers), f"has {ODD[code]}", f"have {ODD[code]}")
+            shown = ", ".join(quote_names(numbers))
+            message = f"{name}: of {self.judged} frames that were looked at {words}: {shown}"
+            yield make_warning(code, message, {"file": name, "frames": [*numbers]})
 
 
 def find_marks(
@@ -76,6 +92,9 @@ def find_marks(
     seen = set[int]()  # by the detector
     size: tuple[int, int] | None = None
     searched = sorted({*numbers} if neutral is None else {*numbers, neutral})
+    odd: dict[str, list[int]] = {}
+    places = np.linspace(0, len(numbers) - 1, min(options.judged, len(numbers))).round()
+    judged = {numbers[int(place)] for place in places}
     with _Finder(landmarker, box, options) as finder:
         for done, number in enumerate(searched, 1):
             photo = footage.photo(number)
@@ -96,6 +115,10 @@ def find_marks(
                 if error.code not in UNSEEN or (error.code == "photo.faces" and not found):
                     raise
                 missing[number] = error.code
+            if number in judged and number in found:
+                marked = replace(photo, landmarks=found[number])
+                for code in dict.fromkeys(each.code for each in find_oddities(marked)):
+                    odd.setdefault(code, []).append(number)
             show(done / len(searched))
     assert size is not None, "frames were chosen"
     for number in (each for each in _brief(numbers, found, options.least_run) if each in seen):
@@ -104,7 +127,7 @@ def find_marks(
     if not found:
         message = f"{footage.name}: no face is seen in any of its {len(numbers)} frames"
         raise InputError("photo.no_face", message, file=footage.name)
-    return FilmMarks(found, missing, size)
+    return FilmMarks(found, missing, size, len(judged & found.keys()), odd)
 
 
 class _Finder:

@@ -11,6 +11,7 @@ changes quickly along the skin.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import igl
 import numpy as np
@@ -66,6 +67,13 @@ class Appearance:
         return replace(self, light=by_turned @ self.light)
 
 
+class VisibleSkin(NamedTuple):
+    """Points of the skin that a picture shows well enough to be compared with it."""
+
+    samples: SkinSamples
+    share: float  # of all the places where the picture should show that skin
+
+
 def visible_samples(
     skin: Surface,
     vertices: Ints,
@@ -74,7 +82,7 @@ def visible_samples(
     every_px: int,
     mask: NDArray[np.bool_] | None = None,
     options: PixelOptions = PixelOptions(),
-) -> SkinSamples:
+) -> VisibleSkin:
     """Return points of the skin that a picture (h, w, 3), linear RGB, shows: a grid of its pixels.
 
     ``vertices`` are those of the skin that count, ``mask`` (h, w) pixels that may.
@@ -96,13 +104,16 @@ def visible_samples(
         usable &= mask
     grid = np.zeros_like(usable)
     grid[every_px // 2 :: every_px, every_px // 2 :: every_px] = True
-    rows, columns = np.nonzero(usable & grid)
+    rows, columns = np.nonzero(seen.mask & grid)
     corners = skin.faces[seen.triangle[rows, columns]]
-    weights = seen.weights[rows, columns].astype(float)
     counts = np.isin(corners, vertices).all(axis=1)
+    shown = int(counts.sum())
+    counts &= usable[rows, columns]
+    weights = seen.weights[rows, columns].astype(float)
     samples = SkinSamples(corners[counts], weights[counts])
     faces_us = facing(samples, skin, camera) > options.least_cosine
-    return SkinSamples(samples.corners[faces_us], samples.weights[faces_us])
+    samples = SkinSamples(samples.corners[faces_us], samples.weights[faces_us])
+    return VisibleSkin(samples, len(samples.corners) / max(shown, 1))
 
 
 def find_appearance(

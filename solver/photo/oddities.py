@@ -16,7 +16,9 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_laplace
 from scipy.spatial import ConvexHull, QhullError
 
-from solver.errors import Finding, make_warning
+from solver.anatomy.skin_points import SkinPoints
+from solver.errors import Finding, count_words, make_warning, quote_names
+from solver.photo.expression import CURVE_OPTIONS, CurveOptions, line_of
 from solver.photo.photo import Photo
 from solver.surface import Floats
 
@@ -72,6 +74,29 @@ def find_oddities(photo: Photo, options: OddityOptions = ODDITY_OPTIONS) -> Iter
         if share > options.exposed:
             message = f"{photo.name}: {100 * share:.0f} % of the face are {word}"
             yield make_warning("photo.exposure", message, about)
+
+
+def find_left_out(
+    photo: Photo, points: SkinPoints, options: CurveOptions = CURVE_OPTIONS
+) -> Iterator[Finding]:
+    """Yield the notice ``photo.left_out`` about curves and landmarks that no skin is known for.
+
+    ``points`` are those that the template knows.
+    """
+    curves = [name for name in photo.curves if line_of(name, points, options) is None]
+    marks = [name for name in photo.landmarks if not points.has(name)]
+    if not curves and not marks:
+        return
+    parts = [f"the curve {name}" for name in curves]
+    if marks:
+        words = count_words(len(marks), "landmark", "landmarks")
+        parts.append(f"{words} ({', '.join(quote_names(marks))})")
+    message = (
+        f"{photo.name}: left out, since the template does not know where on its skin they are: "
+        f"{'; '.join(parts)}"
+    )
+    about = {"file": photo.name, "curves": curves, "landmarks": marks}
+    yield make_warning("photo.left_out", message, about)
 
 
 def find_closed_eyes(

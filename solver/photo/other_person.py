@@ -14,9 +14,9 @@ the combinations U of identity shapes that landmarks tell most of (a quadratic d
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -36,6 +36,7 @@ from solver.tracks.fit import TrackFitOptions
 
 # of the built-in face's points, written by scripts/builtin_people.py
 PEOPLE_FILE = POINTS_FILE.with_name("people.npz")
+UNKNOWN = "how the detector errs on this template's people was not learned"
 
 
 @dataclass(frozen=True)
@@ -201,23 +202,39 @@ def points_sha256(points: SkinPoints) -> str:
     return Archive({}, points.arrays()).sha256
 
 
+@dataclass(frozen=True)
+class JudgedPhotos:
+    """By how many nats photographs are likelier of somebody else, and why others are not judged."""
+
+    nats: Mapping[str, float]
+    unjudged: Mapping[str, str]
+
+    def figures(self, name: str) -> dict[str, Any]:
+        """Return what is told of a photograph as JSON values."""
+        if name in self.nats:
+            return {"somebody_else_nats": round(self.nats[name], 2)}
+        return {"other_person": f"not judged: {self.unjudged[name]}"}
+
+
 def somebody_else(
     template: Template,
     neutral: Floats,
     photos: Mapping[str, Photo],
     points: SkinPoints,
     options: PersonOptions = PERSON_OPTIONS,
-) -> dict[str, float]:
-    """Return by how many nats somebody else than a person is likelier in photographs, by name.
+) -> JudgedPhotos:
+    """Return by how many nats somebody else than a person is likelier in photographs.
 
-    ``neutral`` (V, 3) is the person's face at rest, in the template's topology. Photographs that
-    show too little are left out, and all of them where nothing was learned of the template.
+    ``neutral`` (V, 3) is the person's face at rest, in the template's topology.
     """
     people = DrawnPeople.of(template)
-    if people is None or neutral.shape != template.skin.vertices.shape:
-        return {}
-    found = _shifts(template, neutral, photos, points, options)
-    return {name: people.another(b) for name, b in found.items()}
+    if people is None:
+        return JudgedPhotos({}, dict.fromkeys(photos, UNKNOWN))
+    if neutral.shape != template.skin.vertices.shape:
+        reason = "the model's skin is not that of the template"
+        return JudgedPhotos({}, dict.fromkeys(photos, reason))
+    shifts, unjudged = _shifts(template, neutral, photos, points, options)
+    return JudgedPhotos({name: people.another(b) for name, b in shifts.items()}, unjudged)
 
 
 def not_as_the_rest(
@@ -225,18 +242,20 @@ def not_as_the_rest(
     photos: Mapping[str, Photo],
     points: SkinPoints,
     options: PersonOptions = PERSON_OPTIONS,
-) -> dict[str, float]:
-    """Return by how many nats photographs are likelier of another person than the rest, by name.
+) -> JudgedPhotos:
+    """Return by how many nats photographs are likelier of another person than the rest.
 
-    Nothing is known of the person; photographs are left out as by :func:`somebody_else`.
+    Nothing is known of the person.
     """
     people = DrawnPeople.of(template)
     if people is None:
-        return {}
-    found = _shifts(template, template.skin.vertices, photos, points, options)
-    if len(found) < 2:
-        return {}
-    return dict(zip(found, people.apart([*found.values()]), strict=True))
+        return JudgedPhotos({}, dict.fromkeys(photos, UNKNOWN))
+    shifts, unjudged = _shifts(template, template.skin.vertices, photos, points, options)
+    if len(shifts) < 2:
+        alone = dict.fromkeys(shifts, "there is no other photograph that it could be compared with")
+        return JudgedPhotos({}, unjudged | alone)
+    nats = people.apart([*shifts.values()])
+    return JudgedPhotos(dict(zip(shifts, nats, strict=True)), unjudged)
 
 
 def find_other_person(
@@ -260,19 +279,31 @@ def _shifts(
     photos: Mapping[str, Photo],
     points: SkinPoints,
     options: PersonOptions,
-) -> dict[str, Floats]:
-    """Return b (n,) of the photographs that show enough."""
+) -> tuple[dict[str, Floats], dict[str, str]]:
+    """Return b (n,) of the photographs that show enough, and what is wrong with others."""
     found = {}
+    unjudged = {}
     shapes = PersonShapes.of(template)
     skin = template.skin.with_vertices(neutral)
     for name, photo in photos.items():
-        if photo.eyes_px is None or photo.eyes_px < options.eyes_px:
+        if photo.eyes_px is None:
+            unjudged[name] = "the outer corners of the eyes are not marked"
             continue
-        with suppress(InputError):  # no camera can be placed, which the fit tells
+        if photo.eyes_px < options.eyes_px:
+            unjudged[name] = (
+                f"the outer corners of the eyes are less than {options.eyes_px:g} px apart"
+            )
+            continue
+        try:
             shift = person_shift(shapes, skin, photo, points, options)
-            if shift is not None:
-                found[name] = shift.b
-    return found
+        except InputError:  # which the fit tells
+            unjudged[name] = "its landmarks place no camera"
+            continue
+        if shift is None:
+            unjudged[name] = f"fewer than {options.least_points} of the detector's points are seen"
+        else:
+            found[name] = shift.b
+    return found, unjudged
 
 
 def person_shift(

@@ -21,6 +21,7 @@ from solver.photo.camera import PinholeCamera
 from solver.photo.expression import PhotoExpression, marks_of
 from solver.photo.identity import IdentityFit
 from solver.photo.light import Appearance
+from solver.photo.other_person import JudgedPhotos
 from solver.photo.photo import Photo, square_around
 from solver.photo.placed import Reprojection
 from solver.photo.shading import blocked_light, shade_of
@@ -37,12 +38,12 @@ def photo_figures(
     result: PhotoExpression[Any],
     points: SkinPoints,
     placed: Mapping[str, Reprojection],
-    others: Mapping[str, float],
+    others: JudgedPhotos,
 ) -> dict[str, Any]:
     """Return the figures of the fit of one moment as JSON values.
 
     ``placed`` has those of its photographs whose cameras were placed beside others, and
-    ``others`` by how many nats each is likelier of somebody else, where that was judged.
+    ``others`` whether each is likelier of somebody else.
     """
     point = result.fit.point
     found = {
@@ -51,8 +52,10 @@ def photo_figures(
     }
     for name, each in placed.items():
         found[name]["reprojection"] = each.as_dict()
-    for name in found.keys() & others.keys():
-        found[name]["somebody_else_nats"] = round(others[name], 2)
+    for photo, skin in zip(photos, result.compared, strict=False):  # none without shading
+        found[photo.name] |= skin.figures()
+    for name in found:
+        found[name] |= others.figures(name)
     return {
         "photos": found,
         "iterations": {

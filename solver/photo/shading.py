@@ -163,13 +163,18 @@ class ShadingTerm(ImageTerm):
     blocked: Floats  # (n, 9) of the light, at the samples
     light: Floats  # (9, 3)
     noise: float = 1.0  # standard deviation of a channel, of linear RGB
+    share: float = 1.0  # of the face's visible skin that the samples are of
+
+    def seen(self, skin: Floats, camera: PinholeCamera) -> Floats:
+        """Return the picture's colours (n, 3) at the samples."""
+        return self.image.at(camera.project(self.samples.of(skin))[:, :2])
 
     def residual(self, skin: Floats, camera: PinholeCamera) -> Floats:
         """See :class:`ImageTerm`: (3 n,), the channels of each sample in turn."""
         surface = Surface(skin, self.faces)
         shade = shade_of(normals_at(self.samples, surface), self.blocked, self.light)
-        seen = self.image.at(camera.project(self.samples.of(skin))[:, :2])
-        return np.asarray(((self.albedo * shade - seen) / self.noise).ravel())
+        away = self.albedo * shade - self.seen(skin, camera)
+        return np.asarray((away / self.noise).ravel())
 
     def linearise(self, skin: Floats, camera: PinholeCamera) -> LinearResidual:
         """See :class:`ImageTerm`."""

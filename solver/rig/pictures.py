@@ -115,23 +115,34 @@ SECTION = np.radians(62.0)  # the camera's angle to a section through the tets
 
 
 def fit_picture(model: SubjectModel, fit: ExpressionFit, path: Path) -> None:
-    """Draw scan, fit and error (mm, on ``model.face``) side by side, from two cameras."""
+    """Draw scan, fit and error (mm, on ``model.face``) side by side, from two cameras.
+
+    Without a scan the skin at rest and the fit alone are drawn.
+    """
     error = fit.measured_error(model.face)
-    bodies = DrawnHead(model.skin).compare(fit.target, fit.skin, fit.error_mm)
+    head = DrawnHead(model.skin)
+    if len(error):
+        bodies = head.compare(fit.target, fit.skin, fit.error_mm)
+        titles = ["Scan", "Fit", "Error"]
+        detail = (
+            f"mean {error.mean():.2f} mm    95 % below {np.percentile(error, 95):.2f} mm    "
+            f"greatest {error.max():.2f} mm"
+        )
+    else:
+        bodies = [head.body(head.lit(each)) for each in (model.skin.vertices, fit.skin)]
+        titles = ["At rest", "Fit"]
+        detail = "there is no scan to compare it with"
     cell = width, height = WIDTH // 3, 520
     foot = HEADER + 2 * height
     page = Sheet(WIDTH, foot + 64)
     role = f"{ROLES[fit.role]} expression" if fit.role in ROLES else fit.role
-    page.heading(
-        fit.name.replace("_", " "),
-        f"{role}    mean {error.mean():.2f} mm    "
-        f"95 % below {np.percentile(error, 95):.2f} mm    greatest {error.max():.2f} mm",
-    )
+    page.heading(fit.name.replace("_", " "), f"{role}    {detail}")
     cameras = [face_camera(model.skin.vertices, model.face, yaw) for yaw in (0.0, THREE_QUARTER)]
-    for column, (title, body) in enumerate(zip(("Scan", "Fit", "Error"), bodies, strict=True)):
+    for column, (title, body) in enumerate(zip(titles, bodies, strict=True)):
         images = [render_bust([body], camera, cell) for camera in cameras]
         page.column((column * width, HEADER), title, images, 20, above=0)
-    page.scale((WIDTH - width + 60, foot + 12), width - 130)
+    if len(error):
+        page.scale((WIDTH - width + 60, foot + 12), width - 130)
     page.save(path)
 
 

@@ -42,6 +42,9 @@ from solver.storage import Archive, Arrays, read_arrays, with_prefix
 from solver.surface import Floats
 
 FREE_DRIVE = SixNumbers()
+MUSCLES = "S"  # the letter of a rig's own expressions among its systems
+# systems by the order in which files show a rig: the first that has expressions
+SHOWN_FIRST = (MUSCLES, "T", "B", "P")
 # files of a rig of 0.1, by the roles that they have in a job; the report may be missing
 FILES_OF_0_1 = {
     "model": "model.npz",
@@ -101,12 +104,26 @@ class Rig:
         code = "model.estimated" if origin == "photographs" else "model.size"
         return (make_warning(code, SIZE_WORDS[origin]), *self.notices)
 
+    @property
+    def fits_by_system(self) -> dict[str, tuple[ExpressionFit, ...]]:
+        """Return the expressions of every system, by its letter."""
+        others = {letter: system.expressions for letter, system in self.systems.items()}
+        return {MUSCLES: self.expressions, **others}
+
+    @property
+    def default_system(self) -> str:
+        """Return the letter of the system that files and pictures show: S if it can be shown."""
+        fits = self.fits_by_system
+        return next((letter for letter in SHOWN_FIRST if fits.get(letter)), MUSCLES)
+
+    @property
+    def shown(self) -> tuple[ExpressionFit, ...]:
+        """Return the expressions of the default system."""
+        return self.fits_by_system[self.default_system]
+
     def skins(self) -> dict[str, Floats]:
-        """Return the skin at rest, ``neutral``, and in every expression, (v, 3), mm."""
-        return {
-            "neutral": self.model.skin.vertices,
-            **{fit.name: fit.skin for fit in self.expressions},
-        }
+        """Return the skin at rest, ``neutral``, and as shown in every expression, (v, 3), mm."""
+        return {"neutral": self.model.skin.vertices, **{fit.name: fit.skin for fit in self.shown}}
 
     def known_figures(self) -> dict[str, Any]:
         """Return the figures; raises :class:`InputError` (``export.figures``) if there are none."""

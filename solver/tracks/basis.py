@@ -330,10 +330,11 @@ class TrackTargets:
         lengths = tracks.lines.lengths(model.rest)
         _, volumes = shape_gradients(model.rest, model.tets)
         tensors = fibre_tensors(model, volumes, model.weights)
-        # muscles with a line and fibres; the others stay as passive flesh
-        self._driven = (lengths > 0.0) & np.isfinite(tensors).all(axis=(1, 2))
-        self._rest_lengths = lengths[self._driven]
-        self._activations = IsochoricActivations.of(tensors[self._driven])
+        self.has_fibres = np.asarray(np.isfinite(tensors).all(axis=(1, 2)))
+        # (m,) muscles with a line and fibres; the others stay as passive flesh
+        self.driven = (lengths > 0.0) & self.has_fibres
+        self._rest_lengths = lengths[self.driven]
+        self._activations = IsochoricActivations.of(tensors[self.driven])
 
     @cached_property
     def _jaw_rates(self) -> Floats:
@@ -359,7 +360,7 @@ class TrackTargets:
         target = (1.0 - share) * y + share * self._jaw.move(y, b)
         lengths = self._tracks.lines.lengths(target)
         a = np.tile(IDENTITY, (len(lengths), 1))
-        a[self._driven] = self._activations(self._stretches(lengths))
+        a[self.driven] = self._activations(self._stretches(lengths))
         return TrackPose(target, b, lengths, a)
 
     def rates(self, q: Floats) -> TrackRates:
@@ -375,8 +376,8 @@ class TrackTargets:
         lengths = tracks.lines.length_rates(pose.target, target)
         stretches = np.zeros_like(lengths)
         by_stretch = np.zeros_like(pose.activations)
-        stretches[self._driven] = lengths[self._driven] / self._rest_lengths[:, None]
-        by_stretch[self._driven] = self._activations.rates(self._stretches(pose.lengths))
+        stretches[self.driven] = lengths[self.driven] / self._rest_lengths[:, None]
+        by_stretch[self.driven] = self._activations.rates(self._stretches(pose.lengths))
         return TrackRates(target, self._jaw_rates, stretches, by_stretch)
 
     def _morph(self, q: Floats) -> Floats:
@@ -384,4 +385,4 @@ class TrackTargets:
         return np.asarray(self._model.rest + np.tensordot(weights, self._tracks.morphs, 1))
 
     def _stretches(self, lengths: Floats) -> Floats:
-        return np.asarray(lengths[self._driven] / self._rest_lengths)
+        return np.asarray(lengths[self.driven] / self._rest_lengths)

@@ -427,7 +427,8 @@ def test_chosen_photographs_are_fitted_with_a_rig(show: Show, studio: Studio) ->
     page.get_by_role("dialog").get_by_role("button", name="Submit").click()
     picture = page.get_by_role("img", name="Photographs beside the fitted face")
     eventually(lambda: picture.evaluate("image => image.naturalWidth") == 480)
-    assert page.get_by_role("button", name="Download photo.json").is_visible()
+    for name in ("photo.json", "photo.npz"):
+        assert page.get_by_role("button", name=f"Download {name}").is_visible()
     job = studio.job(page.url.rsplit("/", 1)[1])
     assert (job["kind"], job["rig_id"], job["captures"]) == ("fit_photo", rig_id, [plate])
 

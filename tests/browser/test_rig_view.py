@@ -14,7 +14,7 @@ from PIL import Image
 
 from service.queue import table
 from solver.surface import Floats
-from tests.browser.rig_place import SECONDS, Place, end_job, start_job, until
+from tests.browser.rig_place import SECONDS, Place, end_job, put_rig, start_job, until
 
 pytestmark = pytest.mark.slow
 
@@ -443,6 +443,23 @@ def test_systems_of_a_rig_are_chosen_and_stand_side_by_side(
     page = look(f"/rigs/{place.first}?system=B", refusals=True)
     _shown(page)
     assert "system" not in page.url
+
+
+def test_a_rig_without_fitted_muscles_is_shown_by_what_was_fitted(
+    place: Place, look: Callable[..., Page]
+) -> None:
+    folder = place.sliders.parents[1] / "a"
+    files = [folder / name for name in ("view.bin", "view_T.bin", "inside.bin")]
+    _, shown = put_rig(place.store, "Dora", files, {**place.sample.summary(), "system": "T"})
+    page = look(f"/rigs/{shown}?e=smile:1")
+    _shown(page)
+    assert page.get_by_label("Driven by").input_value() == "T"
+    assert _query(page) == "e=smile:1"
+    side = page.get_by_role("link", name="Side by side").get_attribute("href")
+    assert side == f"/compare?a={shown}&b={shown}.S"
+    page.get_by_label("Driven by").select_option("S")
+    page.wait_for_url("**/*system=S*")
+    _shown(page)
 
 
 def _watch(page: Page) -> None:

@@ -157,7 +157,7 @@ def test_the_command_converts_a_rig_s_folder(rig: Rig, tmp_path: Path) -> None:
 
 
 def test_every_system_is_a_variant(rig: Rig, tmp_path: Path) -> None:
-    """A rig's muscles are shown by default, each other system when it is chosen."""
+    """A rig's muscles are shown by default where it has any, each other system when chosen."""
     smile, ah = rig.expressions[:2]
     held = {each.name: getattr(smile, each.name) for each in fields(ExpressionFit)}
     skins = {"smile": 0.5 * (smile.skin + rig.model.skin.vertices), "Ah, wide-open": ah.skin}
@@ -188,6 +188,9 @@ def test_every_system_is_a_variant(rig: Rig, tmp_path: Path) -> None:
             np.testing.assert_allclose(points("Skin", frame), skin, atol=2e-3)
         binding = UsdSkel.BindingAPI(stage.GetPrimAtPath("/Face/Skin"))
         assert list(binding.GetBlendShapesAttr().Get()) == list(expected)
+    alone = export_measured(replace(several, expressions=()), "usd", tmp_path / "alone.usdc")
+    others = Usd.Stage.Open(str(alone.path))
+    assert others.GetDefaultPrim().GetVariantSet("system").GetVariantSelection() == "T"
     with pytest.raises(SolveError) as raised:
         read_back(replace(several, systems={"P": systems["T"]}), made.path)
     assert raised.value.code == "file.differs"

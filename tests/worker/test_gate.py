@@ -53,6 +53,14 @@ def test_an_error_quotes_little(folder: AttemptFolder) -> None:
     assert all(each.isprintable() for each in told["found"])
 
 
+def test_a_rig_without_fitted_muscles_has_the_expressions_that_it_shows(tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    fits: dict[str, Any] = {"smile": {"T": {}}, "kiss": {"B": {}}}
+    for expressions, told in (({}, ["smile"]), ({"ah": {}}, ["ah"])):
+        report.write_text(json.dumps({"system": "T", "systems": fits, "expressions": expressions}))
+        assert solve._describe(report, is_rig=True)["expressions"] == told
+
+
 def test_a_result_quotes_little_and_keeps_its_figures(folder: AttemptFolder) -> None:
     findings = [{"code": "scan.parts", "message": f"part {HOSTILE}" + "x" * 10_000}] * 3
     summary = {"verdict": "good", "findings": findings, "figures": {"mm": float("nan")}}

@@ -142,8 +142,8 @@ def write_rig(rig: Rig, certificate: Certificate, out: Path) -> list[Path]:
     measured = {each.path.name: each.figures for each in exported}
     write_json(figures_file, {**figures, "files": measured})
     files = [*(each.path for each in exported), *rig.save_as_0_1(out)]
-    pictures = [out / f"fit_{fit.name}.png" for fit in rig.expressions]
-    for fit, picture in zip(rig.expressions, pictures, strict=True):
+    pictures = [out / f"fit_{fit.name}.png" for fit in rig.shown]
+    for fit, picture in zip(rig.shown, pictures, strict=True):
         fit_picture(rig.model, fit, picture)
     write_page(page, figures)
     return [*files, figures_file, page, *pictures]

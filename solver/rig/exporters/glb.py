@@ -19,11 +19,11 @@ WITH_EVERY_RIG = True
 def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
     """Write the neutral skin (v, 3), its expressions as morph targets and an animation, in metres.
 
-    ``_ERROR_MM`` is the greatest distance to the scans over all expressions, mm, 0 where nothing
-    was measured.
+    They are those of the rig's default system. ``_ERROR_MM`` is the greatest distance to the scans
+    over all of them, mm, 0 where nothing was measured.
     """
-    shapes = {fit.name: fit.skin for fit in rig.expressions}
-    worst = worst_error(rig.expressions, len(rig.model.skin.vertices))
+    shapes = {fit.name: fit.skin for fit in rig.shown}
+    worst = worst_error(rig.shown, len(rig.model.skin.vertices))
     animate = partial(in_turn, options=options)
     write_face(path, rig.model.skin, shapes, animate, {ERROR_ATTRIBUTE: worst}, options)
 

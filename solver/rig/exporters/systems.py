@@ -10,7 +10,6 @@ from typing import Any
 from solver.errors import InputError
 from solver.rig.frames.gltf import MorphTargetOptions, worst_error, write_faces
 from solver.rig.frames.read_back import NEUTRAL, MorphedSkin, compare_expressions, read_glb
-from solver.rig.report.systems import fits_by_system
 from solver.rig.rig import Rig
 from solver.surface import Floats
 
@@ -38,7 +37,7 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
         raise InputError("export.options", f"apart is {options.apart:g}, not 0 or more")
     skin = rig.model.skin
     errors = {
-        name: worst_error(fits, len(skin.vertices)) for name, fits in fits_by_system(rig).items()
+        name: worst_error(fits, len(skin.vertices)) for name, fits in rig.fits_by_system.items()
     }
     across = skin.vertices[:, 0]
     apart_mm = options.apart * float(across.max() - across.min())
@@ -68,6 +67,4 @@ def compare_systems(
 
 def _shapes(rig: Rig) -> dict[str, dict[str, Floats]]:
     """Return the skins of every system's expressions."""
-    return {
-        name: {fit.name: fit.skin for fit in fits} for name, fits in fits_by_system(rig).items()
-    }
+    return {name: {fit.name: fit.skin for fit in fits} for name, fits in rig.fits_by_system.items()}

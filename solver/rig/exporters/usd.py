@@ -12,7 +12,7 @@ Needs the extra ``usd``. Lengths are mm (``metersPerUnit`` 0.001), y up. ``/Face
   their numbers as time codes.
 
 Of a rig with several systems the variant set ``system`` has the shapes, distances and animation of
-each, and its muscles are shown until another is chosen.
+each; its default system is shown until another is chosen.
 """
 
 from __future__ import annotations
@@ -51,7 +51,6 @@ from solver.rig.frames.usd import (
     numbers,
     quaternion,
 )
-from solver.rig.report.systems import fits_by_system
 from solver.rig.rig import Rig
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.surface import Floats, Surface, vertex_normals
@@ -77,7 +76,7 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
         message = f"{path.name} does not end in {', '.join(FORMATS)}"
         raise InputError("usd.format", message, file=path.name, expected=FORMATS)
     stage = _stage(rig.model)
-    systems = fits_by_system(rig)
+    systems = rig.fits_by_system
     names = list(dict.fromkeys(fit.name for fits in systems.values() for fit in fits))
     if not rig.systems:
         _show(stage, rig.model, rig.expressions, names, options)
@@ -88,7 +87,7 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
             variants.SetVariantSelection(system)
             with variants.GetVariantEditContext():
                 _show(stage, rig.model, fits, names, options)
-        variants.SetVariantSelection(next(iter(systems)))
+        variants.SetVariantSelection(rig.default_system)
     stage.GetRootLayer().Export(str(path))
 
 

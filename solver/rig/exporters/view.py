@@ -23,7 +23,6 @@ from solver.fitting.contraction import STILL, Contraction
 from solver.rig.expression import ExpressionFit
 from solver.rig.frames.read_back import NEUTRAL, compare_expressions
 from solver.rig.report.measures import distances
-from solver.rig.report.systems import fits_by_system
 from solver.rig.rig import Rig
 from solver.storage import read_container, write_container
 
@@ -78,7 +77,7 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
 
 def _fits(rig: Rig, system: str) -> Sequence[ExpressionFit]:
     """Return the expressions of a system."""
-    known = fits_by_system(rig)
+    known = rig.fits_by_system
     if system not in known:
         message = f"the rig has no system {quote(system)}: it has {', '.join(known)}"
         raise InputError("export.options", message, found=quote(system), expected=[*known])
@@ -114,7 +113,7 @@ class Notebook:
 def notebook(rig: Rig, height: int) -> Notebook:
     """Return a page with the skin of a rig in it, ``height`` pixels high."""
     with TemporaryDirectory() as folder:
-        write(rig, content := Path(folder) / FILE)
+        write(rig, content := Path(folder) / FILE, Options(rig.default_system))
         packed = b64encode(content.read_bytes()).decode()
     page = Path(__file__).with_name("viewer.html").read_text(encoding="utf-8")
     return Notebook(page.replace("@CONTENT@", packed), height)

@@ -68,6 +68,7 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
         "limits": [asdict(limit) for limit in limits_of(judgements)],
         "checks": [_judgement(judgement, certificate.settings) for judgement in judgements],
         "expressions": expressions,
+        "system": rig.default_system,
         "systems": system_figures(rig),
         "strayed": {whole: rounded(part) for whole, part in certificate.strayed.items()},
         "information": found and information_figures(model, found),

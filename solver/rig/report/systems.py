@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,12 +50,6 @@ class LipFlesh:
     def change(self, x: Floats) -> float:
         """Return the change of the volume at x (p, 3), a part of that at rest."""
         return float(volumes(x, self.tets).sum() / self.rest_mm3 - 1.0)
-
-
-def fits_by_system(rig: Rig) -> dict[str, Sequence[ExpressionFit]]:
-    """Return the expressions of every system of a rig, by its letter."""
-    others = {name: system.expressions for name, system in rig.systems.items()}
-    return {"S": rig.expressions, **others}
 
 
 @dataclass(frozen=True)
@@ -116,7 +109,7 @@ def system_figures(rig: Rig) -> dict[str, dict[str, Any]]:
         return {}
     measures = SystemMeasures.of(rig)
     found = dict[str, dict[str, Any]]()
-    for system, fits in fits_by_system(rig).items():
+    for system, fits in rig.fits_by_system.items():
         for fit in fits:
             found.setdefault(fit.name, {})[system] = measures.figures(fit)
     return found

@@ -60,6 +60,7 @@ def write_page(path: Path, figures: dict[str, Any]) -> None:
         "told": _told,
     }
     expressions = figures["expressions"]
+    pictured = {**expressions, **figures.get("systems", {})}
     groups: dict[str, list[dict[str, Any]]] = {}
     for check in figures["checks"]:
         groups.setdefault(check["group"], []).append(check)
@@ -72,7 +73,7 @@ def write_page(path: Path, figures: dict[str, Any]) -> None:
         jaw_ranges=JAW_RANGES,
         jaw_source=JAW_SOURCE,
         muscle_source=MUSCLE_SOURCE,
-        pictures={name: _picture(path.parent / f"fit_{name}.png") for name in expressions},
+        pictures={name: _picture(path.parent / f"fit_{name}.png") for name in pictured},
         roles=ROLES,
         whole_muscles=_whole_muscles(expressions),
     )

@@ -48,7 +48,7 @@ def read_wrinkle_images(
     Raises :class:`InputError`: ``wrinkles.unknown`` for a name that is no shape's and no
     expression's of the rig, ``texture.unreadable``, ``texture.template``.
     """
-    known = sorted(each.name for each in rig.expressions)
+    known = sorted(each.name for each in rig.shown)
     found = {}
     for name, path in files.items():
         if name not in shapes and name not in known:
@@ -65,7 +65,7 @@ def drive_wrinkles(
     images: Mapping[str, bytes], rig: Rig, shapes: StudioShapes
 ) -> Iterator[WrinkleMap]:
     """Yield wrinkle maps by their ``images``, of names that :func:`read_wrinkle_images` knows."""
-    skins = {each.name: each.skin for each in rig.expressions}
+    skins = {each.name: each.skin for each in rig.shown}
     for number, (name, content) in enumerate(images.items(), start=1):
         if name in shapes.names:
             driven_by = {name: 1.0}

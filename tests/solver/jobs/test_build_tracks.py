@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from solver.anatomy.template import ShapeBasis
 from solver.errors import InputError
@@ -40,7 +41,8 @@ def test_it_leaves_tracks_their_figures_and_a_picture(tmp_path, model_file):
     assert tracks.stiffness.tolist() == [2.0, 1.0]
     assert (tracks.bones, tracks.length_mm) == ("held", 2.0)
     told = json.loads(files[1].read_text())
-    assert told["notices"] == ["still moves no skin on flesh"]
+    still = {"code": "tracks.shapes", "message": "still moves no skin on flesh"}
+    assert told["notices"] == [still]
     assert [shape["turned_tets"] for shape in told["shapes"]] == [0, 0, 0, 0]
     assert [muscle["name"] for muscle in told["muscles"]] == ["left", "right"]
     assert all(muscle["length_mm"] > 10.0 and not muscle["closed"] for muscle in told["muscles"])
@@ -77,8 +79,30 @@ def test_shapes_that_turn_flesh_inside_out_are_told_and_kept(tmp_path, model_fil
     basis = ShapeBasis(folded[None].astype(np.float32)[:0], folded[None], ("folded",))
     monkeypatch.setattr(build_tracks, "read_template", lambda _: SimpleNamespace(shapes=basis))
     files = run_job("build_tracks", tmp_path / "out", options={"bones": "held"}, model=model_file)
-    [shape] = json.loads(files[1].read_text())["shapes"]
+    told = json.loads(files[1].read_text())
+    [shape] = told["shapes"]
     assert shape["turned_tets"] > 10
+    [notice] = [each for each in told["notices"] if each["code"] == "tracks.turned"]
+    assert notice["shapes"] == {"folded": shape["turned_tets"]}
+
+
+def test_muscles_that_stay_passive_are_told(tmp_path, model_file):
+    """One without flesh, and all the others where the model has no fibres."""
+    model = SubjectModel.load(model_file)
+    weights = model.weights.toarray()
+    weights[:, 0] += weights[:, 1]
+    weights[:, 1] = 0.0
+    file = tmp_path / "passive.npz"
+    replace(model, weights=sp.csr_array(weights), fibres=None).save(file)
+    steps = []
+    files = run_job("build_tracks", tmp_path / "out", model=file, progress=steps.append)
+    [notice] = [
+        each
+        for each in json.loads(files[1].read_text())["notices"]
+        if each["code"] == "tracks.passive"
+    ]
+    assert notice["muscles"] == {"left": "flesh", "right": "fibres"}
+    assert notice["message"] in [each.message for each in steps if each.phase == "warning"]
 
 
 def test_a_muscle_that_there_is_not_is_told(tmp_path, model_file):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +103,19 @@ def test_light_is_found_once(files: Path, tmp_path: Path) -> None:
     options = {"shading": True, "neutral": NAMES[0]}
     found = fit(files, tmp_path, options=options, **pictures(files, *NAMES[:3]))
     assert (found["status"] == "fitted").all()
+
+
+def test_dark_frames_are_told_once(files: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "dark"
+    folder.mkdir()
+    for number, name in enumerate(NAMES[:3]):
+        shutil.copy(files / "pictures" / f"{name}.json", folder)
+        with Image.open(files / "pictures" / f"{name}.jpg") as picture:
+            shown = picture.point(lambda value: value // 20) if number else picture
+            shown.save(folder / f"{name}.jpg", quality=95)
+    fit(files, tmp_path, film=folder)
+    (told,) = json.loads((tmp_path / "sequence.json").read_text())["notices"]
+    assert (told["code"], told["frames"]) == ("photo.exposure", [1, 2])
 
 
 def test_frames_without_a_face_are_bridged(files: Path, tmp_path: Path) -> None:

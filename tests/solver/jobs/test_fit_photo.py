@@ -16,10 +16,13 @@ from solver.drawing.head import DrawnHead
 from solver.drawing.render import rasterise
 from solver.errors import InputError
 from solver.jobs import run_job
+from solver.photo.archive import CAMERA
 from solver.photo.camera import PinholeCamera
 from solver.photo.mesh_points import landmark_points
 from solver.rig import Rig
+from solver.rig.frames.read_back import read_glb
 from solver.similarity import weighted_motion
+from solver.storage import Archive
 from solver.templates.builtin.build import builtin_template
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.shapes import template_shapes
@@ -130,9 +133,32 @@ def test_a_moment_of_two_photographs_and_a_face_at_rest(files: Path, tmp_path: P
     apart = [np.array(each["camera"]["rotation"]) for each in cameras.values()]
     turned = Rotation.from_matrix(apart[0].T @ apart[1]).magnitude()
     assert np.degrees(turned) == pytest.approx(30.0, abs=3.0)
+    check_kept(tmp_path, rig, told)
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["systems"]["smile"]["T"]["mean_mm"] is None
     assert Image.open(tmp_path / "photo.png").height > 1000
+
+
+def check_kept(folder: Path, rig: Rig, told: dict[str, Any]) -> None:
+    """Check that photo.npz has what photo.json rounds: cameras, and landmarks by them."""
+    kept = Archive.read(folder / "photo.npz", "photo", "a file of photographs", 1)
+    arrays = kept.arrays
+    assert kept.header["expressions"] == {"smile": ["front", "left"], "rest": ["rest"]}
+    assert kept.header["model_sha256"] == MODEL.sha256
+    row = kept.header["photos"].index("left")
+    seen_by = PinholeCamera(*(arrays[f"camera_{name}"][row] for name in CAMERA))
+    figures = told["expressions"]["smile"]["photos"]["left"]
+    np.testing.assert_allclose(seen_by.translation, figures["camera"]["translation"], atol=1e-3)
+    assert not np.array_equal(seen_by.translation, figures["camera"]["translation"])
+    own = arrays["landmark_photo"] == row
+    points = landmark_points(builtin_template()).select(arrays["landmark_names"][own].tolist())
+    skin = next(each.skin for each in rig.systems["T"].expressions if each.name == "smile")
+    fitted = arrays["landmark_px"][own] + arrays["landmark_residual_px"][own]
+    np.testing.assert_allclose(seen_by.project(points.at(skin))[:, :2], fitted, atol=0.01)
+    assert arrays["landmark_weights"].shape == (len(own), 2)
+    assert arrays["light"].shape == (3, 9, 3)
+    assert arrays["albedo"].shape == (3, len(MODEL.face), 3) == (*arrays["albedo_seen"].shape, 3)
+    assert 0.3 < arrays["albedo_seen"].mean() < 1.0
 
 
 def test_plain_shapes_by_landmarks_alone(files: Path, tmp_path: Path) -> None:
@@ -155,6 +181,11 @@ def test_a_model_serves_in_the_place_of_a_rig(files: Path, tmp_path: Path) -> No
     run_job("fit_photo", tmp_path, model=tmp_path / "model.npz", **given)
     rig = Rig.load(tmp_path / "rig.npz")
     assert not rig.expressions
+    shown = read_glb(tmp_path / "rig.glb").expressions()["front"]
+    np.testing.assert_allclose(shown, rig.systems["B"].expressions[0].skin, atol=1e-3)
+    assert json.loads((tmp_path / "report.json").read_text())["system"] == "B"
+    assert (tmp_path / "fit_front.png").is_file()
+    assert "front: the fit that rig.glb shows" in (tmp_path / "report.html").read_text()
     assert (rig.model.rest == MODEL.rest).all()
     assert off(rig.systems["B"].expressions[0].skin, smile()) < 0.5 * off(NEUTRAL, smile())
 
@@ -198,6 +229,31 @@ def test_a_photograph_that_shows_no_skin_is_refused(files: Path, tmp_path: Path)
     with pytest.raises(InputError, match="night: too little skin is left") as error:
         fit(files, tmp_path, "front", "night", model="shapes")
     assert error.value.code == "photo.no_skin"
+
+
+def test_what_a_photograph_leaves_unexplained_is_told(files: Path, tmp_path: Path) -> None:
+    """A pattern before half of the face, a landmark of an iris, a turn of 50 degrees."""
+    photograph(files, "hidden", smile(), 0.0)
+    pixels = np.array(Image.open(files / "hidden.jpg"))
+    stripes = 255 * (np.arange(SIZE[0]) // 12 % 2)
+    pixels[SIZE[1] // 2 :, :] = 40 + stripes[:, None] * np.array([0.6, 0.7, 0.5])
+    Image.fromarray(pixels).save(files / "hidden.jpg", quality=95)
+    photograph(files, "aside", smile(), 50.0)
+    for name, extra in (("hidden", {"468": [130.0, 160.0]}), ("aside", {})):
+        facts = files / f"{name}.json"
+        known = json.loads(facts.read_text())
+        facts.write_text(json.dumps({"landmarks": known["landmarks"] | extra}))
+    _, told = fit(files, tmp_path, "front", "hidden", "aside", model="shapes")
+    figures = {name: each["photos"][name] for name, each in told["expressions"].items()}
+    assert figures["front"]["skin_unexplained"] < 0.02
+    assert 0.85 < figures["front"]["skin_compared"] < 1.0
+    assert figures["hidden"]["skin_unexplained"] > 0.2
+    codes = {(each["file"], each["code"]) for each in told["notices"]}
+    wanted = {("hidden", "photo.unexplained"), ("hidden", "photo.left_out")}
+    assert wanted | {("aside", "photo.profile")} <= codes
+    assert not any(name == "front" for name, _ in codes)
+    (left,) = (each for each in told["notices"] if each["code"] == "photo.left_out")
+    assert (left["landmarks"], left["curves"]) == (["468"], [])
 
 
 def test_a_curve_of_another_place_is_refused(files: Path, tmp_path: Path) -> None:

@@ -108,3 +108,11 @@ def test_a_neutral_frame_apart_is_no_brief_run(monkeypatch: pytest.MonkeyPatch) 
     assert find(monkeypatch, faces).missing[0] == "photo.brief"
     with pytest.raises(InputError, match="no face is seen"):
         find(monkeypatch, [[], []], neutral=0)
+
+
+def test_oddities_of_frames_are_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stand-in's faces are black but for a pixel."""
+    marks = find(monkeypatch, [[ACTOR]] * 4)
+    (told,) = marks.oddities("clip")
+    assert (told.code, told.context["frames"]) == ("photo.exposure", [0, 1, 2, 3])
+    assert told.message.startswith("clip: of 4 frames that were looked at 4 have a face")

@@ -70,8 +70,8 @@ def marked(skin: Floats, distance_mm: float = 650.0) -> Photo:
 
 def codes(neutral: Floats, seen: Photo) -> list[str]:
     found = somebody_else(TEMPLATE, neutral, {seen.name: seen}, POINTS)
-    assert found.keys() == {"anna"}
-    (nats,) = found.values()
+    assert found.nats.keys() == {"anna"}
+    (nats,) = found.nats.values()
     return [each.code for each in find_other_person("anna", nats, "Anna")]
 
 
@@ -86,12 +86,14 @@ def test_who_is_not_as_the_rest_is_told() -> None:
     anna, bert = somebody(1), somebody(4)
     given = {"rest": marked(anna), "smile": marked(smiling(anna)), "bert": marked(bert)}
     found = not_as_the_rest(TEMPLATE, given, POINTS)
-    told = [n for n, nats in found.items() for _ in find_other_person(n, nats, "the rest")]
+    told = [n for n, nats in found.nats.items() for _ in find_other_person(n, nats, "the rest")]
     assert told == ["bert"]
     del given["bert"]
-    assert max(not_as_the_rest(TEMPLATE, given, POINTS).values()) < 0.0
+    assert max(not_as_the_rest(TEMPLATE, given, POINTS).nats.values()) < 0.0
     del given["rest"]
-    assert not_as_the_rest(TEMPLATE, given, POINTS) == {}
+    alone = not_as_the_rest(TEMPLATE, given, POINTS)
+    assert alone.nats == {}
+    assert "no other photograph" in alone.figures("smile")["other_person"]
 
 
 def test_the_shift_is_towards_who_is_seen() -> None:
@@ -128,10 +130,16 @@ def test_what_shows_too_little_is_not_judged() -> None:
     few |= {name: seen.landmarks[name] for name in ("33", "263")}
     small = marked(TEMPLATE.skin.vertices, distance_mm=2000.0)
     given = {"few": replace(seen, landmarks=few), "small": small}
-    assert somebody_else(TEMPLATE, TEMPLATE.skin.vertices, given, POINTS) == {}
+    found = somebody_else(TEMPLATE, TEMPLATE.skin.vertices, given, POINTS)
+    assert found.nats == {}
+    assert "not judged: fewer than 250" in found.figures("few")["other_person"]
+    assert "less than 60 px apart" in found.figures("small")["other_person"]
     assert TEMPLATE.points is not None
     points = TEMPLATE.points.select([*TEMPLATE.points.names[1:]])
-    assert DrawnPeople.of(replace(TEMPLATE, points=points)) is None
+    other = replace(TEMPLATE, points=points)
+    assert DrawnPeople.of(other) is None
+    found = somebody_else(other, TEMPLATE.skin.vertices, {"seen": seen}, POINTS)
+    assert "was not learned" in found.figures("seen")["other_person"]
     assert DrawnPeople.of(replace(TEMPLATE, points=None)) is None
 
 

@@ -16,3 +16,4 @@ def run(task: Task) -> None:
     leave_rig(task.out, task.captures, parent)
     (task.out / "photo.json").write_text(json.dumps({"expressions": {}}))
     draw(task.out / "photo.png", ", ".join(task.captures))
+    (task.out / "photo.npz").write_bytes(b"cameras")

@@ -13,6 +13,7 @@ from solver.errors import InputError, SolveError
 from solver.mechanics.flesh import IDENTITY
 from solver.rig import ExpressionFit, Rig, ShapeFit, ShapeSystem
 from solver.rig.exporters import export, export_measured, systems
+from solver.rig.frames.read_back import read_glb
 from solver.storage import read_container
 from tests.solver.block import block_model
 
@@ -71,6 +72,17 @@ def test_the_page_s_file_is_of_one_system(rig: Rig, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="it has S, T, B") as refused:
         export(rig, "view", tmp_path / "none.bin", {"system": "P"})
     assert refused.value.code == "export.options"
+
+
+def test_a_rig_whose_muscles_are_not_fitted_shows_what_is(rig: Rig, tmp_path: Path) -> None:
+    alone = replace(rig, expressions=())
+    assert (rig.default_system, alone.default_system) == ("S", "T")
+    assert replace(alone, systems={}).default_system == "S"
+    path = export(alone, "glb", tmp_path / "rig.glb")
+    found = read_glb(path).expressions()
+    np.testing.assert_allclose(
+        found["smile"] - rig.model.skin.vertices, [[0.0, 3.0, 0.0]] * len(found["smile"]), atol=1e-3
+    )
 
 
 def test_a_file_of_another_system_is_refused(rig: Rig, tmp_path: Path) -> None:

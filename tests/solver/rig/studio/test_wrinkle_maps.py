@@ -13,6 +13,7 @@ from PIL import Image
 from solver.anatomy.texture_coordinates import TextureCoordinates
 from solver.errors import InputError
 from solver.registration.skin_images import made_for
+from solver.rig import Rig
 from solver.rig.studio.shapes import StudioShapes
 from solver.rig.studio.wrinkle_maps import drive_wrinkles, read_wrinkle_images
 from tests.solver.block import head_block
@@ -37,8 +38,8 @@ def test_a_map_is_driven_by_its_shape_or_by_what_its_expression_is_made_of(
     path = tmp_path / "wrinkle_normals.png"
     Image.fromarray(np.zeros((8, 8, 4), np.uint8)).save(path, pnginfo=made_for(coordinates))
     moved = skin.vertices + 0.8 * shapes.motions[0] + 0.4 * shapes.motions[2]
-    grin = SimpleNamespace(name="grin", skin=moved)
-    rig = cast(Any, SimpleNamespace(model=MODEL, expressions=[grin]))
+    grin = cast(Any, SimpleNamespace(name="grin", skin=moved))
+    rig = Rig(MODEL, MODEL.weights, (grin,))
     files = {"jawOpen": path, "grin": path}
     images = read_wrinkle_images(files, rig, NAMES, coordinates)
     alone, mixed = drive_wrinkles(images, rig, shapes)

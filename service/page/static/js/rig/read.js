@@ -18,10 +18,24 @@ export function systemsOf({ artifacts }) {
   return [MUSCLES, ...artifacts.flatMap(({ name }) => VIEW_FILE.exec(name)?.slice(1) ?? [])];
 }
 
-/** Return the rig's id and the letter of a system that an address names: `ID` or `ID.T`. */
+/** Return the rig's id and the letter of a system that an address names, `ID.T`; null where it names none. */
 export function idAndSystem(text) {
-  const [id, system = MUSCLES] = text.split(".");
-  return [id, system in SYSTEMS ? system : MUSCLES];
+  const [id, system] = text.split(".");
+  return [id, system in SYSTEMS ? system : null];
+}
+
+/** Return the letter of the system that a rig is shown by at first; rigs of before are shown by their muscles. */
+export function firstSystem({ summary }) {
+  return summary.system in SYSTEMS ? summary.system : MUSCLES;
+}
+
+/** Return a rig, its subject, the system that an address names or shows at first, and the file of its view. */
+export async function rigAndView(text, signal) {
+  const [id, asked] = idAndSystem(text);
+  const reading = rigAndSubject(id, signal);
+  const system = asked ?? firstSystem((await reading)[0]);
+  const [[rig, subject], buffer] = await Promise.all([reading, viewOf(id, signal, system)]);
+  return { rig, subject, system, buffer };
 }
 
 /** Return a rig as one of its systems has it: certificate and inside are those of its muscles. */

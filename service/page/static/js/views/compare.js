@@ -8,7 +8,7 @@ import { short, when } from "../words.js";
 import { ComparePage } from "../rig/compare_page.js";
 import { Face } from "../rig/face.js";
 import { fromQuery, toQuery } from "../rig/link.js";
-import { SYSTEMS, bySystem, idAndSystem, rigAndSubject, viewOf } from "../rig/read.js";
+import { SYSTEMS, bySystem, firstSystem, idAndSystem, rigAndView } from "../rig/read.js";
 
 export async function mount(root, params, query) {
   const ending = new AbortController();
@@ -20,9 +20,8 @@ export async function mount(root, params, query) {
     return () => ending.abort();
   }
   const sides = await Promise.all(ids.map(async (text) => {
-    const [id, system] = idAndSystem(text);
-    const [[rig, subject], buffer] = await Promise.all([rigAndSubject(id, signal), viewOf(id, signal, system)]);
-    const name = system === "S" ? subject.name : `${subject.name}, ${SYSTEMS[system].toLowerCase()}`;
+    const { rig, subject, system, buffer } = await rigAndView(text, signal);
+    const name = system === firstSystem(rig) ? subject.name : `${subject.name}, ${SYSTEMS[system].toLowerCase()}`;
     return { rig: bySystem(rig, system), subject: { ...subject, name }, face: buffer && new Face(buffer) };
   }));
   const old = sides.filter(({ face }) => !face);

@@ -3,20 +3,20 @@
 import { h, show } from "../dom.js";
 import { navigate, replaceQuery, title } from "../navigate.js";
 import { heading } from "../rig/heading.js";
-import { SYSTEMS, bySystem, idAndSystem, rigAndSubject, systemsOf, viewOf } from "../rig/read.js";
+import { SYSTEMS, bySystem, firstSystem, rigAndView, systemsOf } from "../rig/read.js";
 
 export async function mount(root, { id }, query) {
   const ending = new AbortController();
   const { signal } = ending;
-  const [, system] = idAndSystem(`${id}.${query.get("system")}`);
   show(root, h("p", { class: "empty", role: "status" }, "Loading the face …"));
   // the rig comes while the code to show it does
-  const [[rig, subject], buffer, { RigPage }, { Face }, { fromQuery, toQuery }] = await Promise.all([
-    rigAndSubject(id, signal), viewOf(id, signal, system),
+  const [{ rig, subject, system, buffer }, { RigPage }, { Face }, { fromQuery, toQuery }] = await Promise.all([
+    rigAndView(`${id}.${query.get("system")}`, signal),
     import("../rig/page.js"), import("../rig/face.js"), import("../rig/link.js"), import("../../vendor/three.js"),
   ]);
   title(`Rig of ${subject.name}`);
-  if (!buffer && system !== "S") {
+  const first = firstSystem(rig);
+  if (!buffer && system !== first) {
     navigate(`/rigs/${id}`, { replace: true });
     return () => ending.abort();
   }
@@ -27,7 +27,7 @@ export async function mount(root, { id }, query) {
     return () => ending.abort();
   }
   const page = new RigPage(bySystem(rig, system), new Face(buffer), fromQuery(query), signal);
-  const address = (letter) => [letter !== "S" && `system=${letter}`, toQuery(page.state)].filter(Boolean).join("&");
+  const address = (letter) => [letter !== first && `system=${letter}`, toQuery(page.state)].filter(Boolean).join("&");
   page.addEventListener("change", () => replaceQuery(address(system)));
   const choose = (letter) => navigate(`/rigs/${id}?${address(letter)}`);
   show(root, heading(rig, subject, [systemChoice(rig, system, choose), page.buttons]), page.element);
@@ -43,7 +43,8 @@ export async function mount(root, { id }, query) {
 function systemChoice(rig, system, choose) {
   const letters = systemsOf(rig);
   if (letters.length === 1) return null;
-  const other = system === "S" ? letters[1] : system;
+  const first = firstSystem(rig);
+  const other = system === first ? letters.find((letter) => letter !== first) : system;
   const select = h("select", { id: "system", onchange: () => choose(select.value) },
     letters.map((letter) => h("option", { value: letter, selected: letter === system }, SYSTEMS[letter] ?? letter)));
   return h("div", { class: "row" }, h("label", { for: select.id }, "Driven by"), select,
