@@ -29,7 +29,6 @@ from solver.tracks.face import TrackFace, track_potentials
 from solver.tracks.own_shapes import PREFIX, OwnShapes, with_own_shapes
 from solver.tracks.shapes import template_shapes
 
-
 # part of all tets; jaw, folds and lips of a template's shapes turn half of it
 TURNED = 0.01
 
