@@ -143,7 +143,7 @@ def mirrored_with_normals(subject: Subject, folder: Path) -> BadScan:
 def closed_eyes(subject: Subject, folder: Path) -> BadScan:
     """Take a neutral with the eyes closed."""
     scan = subject.closed_eyes
-    return BadScan(_obj(folder, "closed", scan.vertices, scan), "scan.eyes_closed", "bad")
+    return BadScan(_obj(folder, "closed", scan.vertices, scan), "scan.eyes_closed", "usable")
 
 
 def open_mouth(subject: Subject, folder: Path) -> BadScan:

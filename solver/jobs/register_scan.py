@@ -121,7 +121,7 @@ def _leave_texture(
         return []
     coordinates = texture_coordinates(known.template)
     options = replace(TEXTURE, size=task.options.texture_size)
-    texture = bake(colours, _onto_skin(registered), registered.skin, known, coordinates, options)
+    texture = bake(colours, _onto_skin(registered), registered.scanned, known, coordinates, options)
     images = [task.out / name for name in ("texture.png", "texture_confidence.png")]
     texture.write(*images)
     told["texture"] = texture.figures
@@ -144,7 +144,7 @@ def _bake_detail(
         )
         scan = Surface(_onto_skin(registered)(raw.vertices), raw.faces)
         coordinates = texture_coordinates(known.template)
-        detail = bake_detail(scan, registered.skin, known, coordinates, options)
+        detail = bake_detail(scan, registered.scanned, known, coordinates, options)
     if detail is None:
         message = "There is no normal map: the scan is hardly finer than the template, or no mesh."
         told["findings"].append(Finding("detail.coarse", "info", message).to_dict())

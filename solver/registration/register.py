@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.anatomy.template import Template
+from solver.anatomy.template import ShapeBasis, Template
 from solver.errors import Finding, InputError
 from solver.meshio.raw import RawScan
 from solver.progress import ProgressCallback, Step, silent
@@ -34,7 +34,8 @@ from solver.registration.shape_fit import (
     facing_weights,
     find_correspondences,
     fit_shapes,
-    identity_model,
+    lid_shapes,
+    neutral_model,
 )
 from solver.registration.topology import Topology, carry_hidden
 from solver.registration.units import FRAME
@@ -96,6 +97,8 @@ class RegisteredFace:
     start: Location  # of its face, before registration
     # In mm: a neutral in the template's frame, an expression in its neutral's, the head still.
     skin: Surface
+    scanned: Surface  # the same with lids as the scan has them
+    opened: Mapping[str, float]  # side -> weight of the template's shut lids, which were opened
     trust: Trust
     motion: Similarity  # takes the scan in mm onto ``skin``
     shape_weights: Floats  # (k,) of the template's identities or expressions; empty without any
@@ -134,10 +137,11 @@ def register(
         code = "scan.size" if start.size.is_known else "scan.unit_unknown"
         told = [Finding(code, "info", message)]
     progress(Step("shape", 0.3))
+    lids = _Lids({})
     if neutral is None:
-        fit, schedule = _fit_person(scan, start, topology, pins)
-        rest = topology.template.skin.vertices
-        placed = fit.vertices
+        fit, schedule, lids = _fit_person(scan, start, topology, pins)
+        rest = lids.shut(topology.template.skin.vertices)
+        placed = lids.open(fit.vertices)
     else:
         fit, schedule = _fit_expression(scan, start, topology, neutral, pins)
         rest = placed = neutral
@@ -154,7 +158,10 @@ def register(
         motion = motion.then(back)
     _check(raw.file, seen, topology)
     folded = folded_triangles(rest, skin.vertices, topology.flesh)
-    return RegisteredFace(scan, start, skin, seen, motion, fit.weights, folded, told)
+    opened = skin.with_vertices(lids.open(skin.vertices))
+    seen = replace(seen, confidence=seen.confidence * lids.are_still(LIDS_STILL_MM))
+    parts = scan, start, opened, skin, lids.weights, seen, motion, fit.weights, folded, told
+    return RegisteredFace(*parts)
 
 
 def _find_pins(
@@ -174,23 +181,66 @@ def _find_pins(
     return Pins(motion.inverse()(points), np.array([known[name] for name in names]))
 
 
+SHUT = 0.7  # weight from which on lids are shut, and not those of narrow eyes
+LIDS_STILL_MM = 0.5  # what moves further as lids are opened was not seen where it is then
+
+
+@dataclass(frozen=True)
+class _Lids:
+    """Lids that a scan has shut: by side the template's displacements (n, 3), and their weight."""
+
+    shapes: Mapping[str, tuple[NDArray[np.floating], float]]
+
+    @classmethod
+    def of(cls, basis: ShapeBasis, weights: Floats) -> _Lids:
+        """Return those that are shut of the last ``weights``, which are those of all lids."""
+        every = lid_shapes(basis).items()
+        found = zip(every, weights[len(basis.identity) :].tolist(), strict=True)
+        return cls({side: (shape, weight) for (side, shape), weight in found if weight >= SHUT})
+
+    @property
+    def weights(self) -> dict[str, float]:
+        return {side: weight for side, (_, weight) in self.shapes.items()}
+
+    def shut(self, skin: Floats) -> Floats:
+        """Return a skin (n, 3) with these lids shut."""
+        return skin + sum(weight * shape for shape, weight in self.shapes.values())
+
+    def open(self, skin: Floats) -> Floats:
+        """Return a skin (n, 3) whose lids are shut with them opened."""
+        return skin - sum(weight * shape for shape, weight in self.shapes.values())
+
+    def are_still(self, limit_mm: float) -> NDArray[np.bool_] | float:
+        """Tell of every vertex (n,) whether it moves by less; 1 of all where none is shut."""
+        if not self.shapes:
+            return 1.0
+        moved = sum(weight * shape for shape, weight in self.shapes.values())
+        return np.asarray(np.linalg.norm(moved, axis=-1) < limit_mm)
+
+
 def _fit_person(
     scan: ScanSurface, start: Location, topology: Topology, pins: Pins | None
-) -> tuple[TemplateFit, tuple[Round, ...]]:
-    """Return a neutral's shape and the rounds that follow; without shapes the template's, sized."""
+) -> tuple[TemplateFit, tuple[Round, ...], _Lids]:
+    """Return a neutral's shape, the rounds that follow, and the lids that it has shut.
+
+    Without shapes it is the template's, sized.
+    """
     basis = topology.template.shapes
     rest = topology.template.skin
     face = topology.face
     if basis is not None and len(basis.identity):
         match = partial(find_correspondences, scan)
-        shapes = identity_model(topology, basis)
-        return fit_shapes(match, start.motion, shapes, pins, sizes=not start.size.is_known), REFINE
+        shapes = neutral_model(topology, basis)
+        fit = fit_shapes(match, start.motion, shapes, pins, sizes=not start.size.is_known)
+        lids = _Lids.of(basis, fit.weights)
+        return replace(fit, weights=fit.weights[: len(basis.identity)]), REFINE, lids
     normals = vertex_normals(rest)[face]
     motion = align(scan, start.motion, rest.vertices[face], normals, sizes=True)
     if not start.size.is_known:  # the scan takes the template's size
-        return TemplateFit(np.zeros(0), rest.vertices, motion), FROM_AFAR
+        return TemplateFit(np.zeros(0), rest.vertices, motion), FROM_AFAR, _Lids({})
     resize = replace(IDENTITY, scale=start.motion.scale / motion.scale)
-    return TemplateFit(np.zeros(0), resize(rest.vertices), motion.then(resize)), FROM_AFAR
+    sized = TemplateFit(np.zeros(0), resize(rest.vertices), motion.then(resize))
+    return sized, FROM_AFAR, _Lids({})
 
 
 def _fit_expression(

@@ -116,6 +116,12 @@ def _findings(
             message = "The face differs much from those the template knows."
             advice = "Check distance.png; give landmarks if eyes or mouth are in the wrong place."
             yield Finding("registration.unusual_shape", "info", message, advice)
+    if registered.opened:
+        both = len(registered.opened) == 2
+        which = "both eyes" if both else f"the {next(iter(registered.opened))} eye"
+        message = f"The lids of {which} are shut in the scan; the template's shape opens them."
+        advice = "Nobody has measured them open: scan again with open eyes, if lids matter."
+        yield Finding("registration.eyes_opened", "warning", message, advice)
     if len(registered.folded):
         message = f"{len(registered.folded)} triangles of the registered skin are turned over."
         advice = "Check distance.png where the skin is creased."

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
@@ -163,6 +164,8 @@ LIKENESS = ShapeFitOptions(
     expression_prior=0.35**-2,
 )
 IGNORED = ("eyeLook", "Pupil", "tongue")  # expressions that no scan shows
+# those that a scan of a face at rest may show, by the side of the eye
+LIDS = {"left": "eyeBlinkLeft", "right": "eyeBlinkRight"}
 
 
 @dataclass(frozen=True)
@@ -189,6 +192,23 @@ def identity_model(topology: Topology, basis: ShapeBasis) -> ShapeModel:
     prior = np.eye(count) + FIT.independent / FIT.closed_mm**2 * (gaps @ gaps.T)
     free = np.zeros(count, bool)
     return ShapeModel(skin.vertices, basis.identity, prior, free, skin.faces, topology.outer)
+
+
+def lid_shapes(basis: ShapeBasis | None) -> dict[str, NDArray[np.floating]]:
+    """Return the displacements (n, 3) of the template's shut lids by their side, if it has them."""
+    known = () if basis is None else basis.expression_names
+    sides = {side: known.index(name) for side, name in LIDS.items() if name in known}
+    return {} if basis is None else {k: basis.expressions[each] for k, each in sides.items()}
+
+
+def neutral_model(topology: Topology, basis: ShapeBasis) -> ShapeModel:
+    """Return the identities of a template, and after them the lids that a scan may have shut."""
+    people = identity_model(topology, basis)
+    lids = [*lid_shapes(basis).values()]
+    prior = scipy.linalg.block_diag(people.prior, FIT.expression_prior * np.eye(len(lids)))
+    displacements = np.concatenate([people.displacements, *(lid[None] for lid in lids)])
+    bounded = np.arange(len(displacements)) >= len(people.displacements)
+    return replace(people, displacements=displacements, prior=prior, bounded=bounded)
 
 
 def expression_model(neutral: Floats, topology: Topology, basis: ShapeBasis) -> ShapeModel:

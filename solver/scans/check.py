@@ -34,6 +34,7 @@ from solver.registration.locate import (
 )
 from solver.registration.scan_surface import estimated_normals, sample
 from solver.registration.search import face_points
+from solver.registration.shape_fit import lid_shapes
 from solver.registration.units import check_frame
 from solver.scans.cover import FAR_MM, Cover, cover, has_second_face, visible_part
 from solver.scans.findings import (
@@ -252,7 +253,8 @@ def _look_closer(
         seen = seen.without_mouth()
     result.findings += cover_findings(seen)
     result.findings += roughness_findings(noise_mm, spacing_mm, int(marked.sum()))
-    result.findings += feature_findings(mouth, eyes, role)
+    opens = bool(lid_shapes(template.shapes))
+    result.findings += feature_findings(mouth, eyes, role, opens=opens)
     result.cover = seen
     result.marked = marked
     result.figures |= {

@@ -124,10 +124,13 @@ def roughness_findings(noise_mm: float, spacing_mm: float, spikes: int) -> list[
     return found
 
 
-def feature_findings(mouth: MouthGaps, eyes: dict[str, Eye], role: str) -> list[Finding]:
-    """Return whether the mouth is open or ``eyes`` are closed, which a neutral may not have.
+def feature_findings(
+    mouth: MouthGaps, eyes: dict[str, Eye], role: str, *, opens: bool = False
+) -> list[Finding]:
+    """Return whether the mouth is open or ``eyes`` are closed, which a neutral should not have.
 
-    In a scan of unknown ``role`` they are only mentioned, in an expression not at all.
+    Lids are no more than a warning where registration ``opens`` them by the template's shapes. In a
+    scan of unknown ``role`` both are only mentioned, in an expression not at all.
     """
     if role == "expression":
         return []
@@ -143,6 +146,9 @@ def feature_findings(mouth: MouthGaps, eyes: dict[str, Eye], role: str) -> list[
     if closed:
         both = len(closed) == 2
         message = "Both eyes are closed." if both else f"The {closed[0]} eye is closed."
+        if opens and severity == "error":
+            severity = "warning"
+            message += " Registration opens the lids by the template's shape."
         found.append(make_finding("scan.eyes_closed", severity, message, eyes=closed))
     return found
 

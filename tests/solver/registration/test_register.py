@@ -11,6 +11,7 @@ from solver.errors import InputError
 from solver.meshio.raw import mend
 from solver.registration.register import near_head, register
 from solver.registration.report import report
+from solver.registration.shape_fit import lid_shapes
 from solver.registration.topology import topology
 from solver.registration.units import FRAME
 from solver.templates.builtin.build import builtin_template
@@ -121,3 +122,30 @@ def test_what_is_no_face_is_refused(known, person):
     with pytest.raises(InputError) as caught:
         register(mend(replace(raw, vertices=ball))[0], known, frame={**FRAME, "unit": "mm"})
     assert caught.value.code == "scan.not_a_face"
+
+
+@pytest.mark.parametrize("sides", [("left", "right"), ("left",)])
+def test_a_neutral_with_shut_eyes_is_opened(known, person, sides):
+    """By the template's shape; lids that nobody has seen open have no confidence."""
+    lids = lid_shapes(known.template.shapes)
+    true = person[0].vertices
+    shut = person[0].with_vertices(true + sum(lids[side] for side in sides))
+    found = register(mend(corrupted(shut, 3, Corruption()))[0], known)
+    assert found.opened.keys() == set(sides)
+    assert errors(found.skin.vertices, true, known).mean() < 0.9
+    assert errors(found.scanned.vertices, shut.vertices, known).mean() < 0.9
+    moved = np.linalg.norm(sum(lids[side] for side in sides), axis=1)
+    assert (found.trust.confidence[moved > 1.0] == 0.0).all()
+    upper = known.template.regions[f"{sides[0]}_upper_lid"]
+    off = np.linalg.norm(found.skin.vertices - true, axis=1)[upper].mean()
+    assert off < 0.3 * moved[upper].mean()
+    codes = {each["code"] for each in report(found, known, None)["findings"]}
+    assert "registration.eyes_opened" in codes
+
+
+def test_narrow_eyes_stay_as_they_are(known, person):
+    lids = lid_shapes(known.template.shapes)
+    narrow = person[0].with_vertices(person[0].vertices + 0.4 * sum(lids.values()))
+    found = register(mend(corrupted(narrow, 3, Corruption()))[0], known)
+    assert not found.opened
+    assert errors(found.skin.vertices, narrow.vertices, known).mean() < 0.8
