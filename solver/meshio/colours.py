@@ -16,12 +16,12 @@ from solver.meshio.paint import BARE, Paint
 from solver.meshio.ply_colours import paint_of_ply
 from solver.meshio.raw import MAX_BYTES, RawScan
 from solver.meshio.texture_images import Texels
-from solver.surface import Floats, Ints
+from solver.surface import Floats, Ints, directed_edges, side_pairs
 
 
 @dataclass(frozen=True, eq=False)
 class ScanColours:
-    """A scan's surface as its file has it, with colours; some triangles may have none."""
+    """A surface with colours, a scan's as its file has it; some triangles may have none."""
 
     vertices: Floats  # (n, 3) in the file's unit, unmended
     faces: Ints  # (f, 3)
@@ -50,6 +50,33 @@ class ScanColours:
             known[own] = found[:, 3] > 0.5
         known &= np.isfinite(colours).all(axis=1)
         return np.where(known[:, None], colours, 0.0), known
+
+    def beside(self, sides: Ints) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return colours (k, 3) in the middle of sides (k,) of triangles, and which have one.
+
+        Sides are numbered as :func:`~solver.surface.directed_edges` has them.
+        """
+        side, face = np.divmod(sides, len(self.faces))
+        return self.at(face, HALVES[side])
+
+    def seams(self, faces: Ints) -> Ints:
+        """Return pairs (k, 2) of sides that are one edge of ``faces``, and two of the images.
+
+        The ``faces`` (f, 3) are the triangles by vertices of which no two are in one place.
+        """
+        ends = self.paint.coordinates[:, [[0, 1], [1, 2], [2, 0]]].swapaxes(0, 1).reshape(-1, 2, 2)
+        sides = directed_edges(faces)
+        turned = sides[:, 0] > sides[:, 1]
+        ends[turned] = ends[turned][:, ::-1]
+        images = np.tile(self.paint.images_of, 3)
+        one, other = side_pairs(faces).T
+        mapped = (images[one] != BARE) & (images[other] != BARE)
+        apart = (ends[one] != ends[other]).any(axis=2).all(axis=1)
+        cut = mapped & (apart | (images[one] != images[other]))
+        return np.column_stack([one[cut], other[cut]])
+
+
+HALVES = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]])  # shares: middles of sides
 
 
 def bilinear(image: Texels, places: Floats) -> Floats:
