@@ -121,6 +121,7 @@ def _leave_texture(
     colours = read_colours(scan, raw)
     if colours is None:
         return []
+    told["findings"] += [each.to_dict() for each in colours.findings]
     coordinates = texture_coordinates(known.template)
     options = replace(TEXTURE, size=task.options.texture_size)
     onto = _onto_skin(registered)

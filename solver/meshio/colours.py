@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.errors import InputError
+from solver.errors import Finding, InputError
 from solver.meshio.glb_colours import paint_of_glb
-from solver.meshio.mesh import read_content
+from solver.meshio.mesh import read_content, weld
 from solver.meshio.obj_colours import paint_of_obj
 from solver.meshio.paint import BARE, Paint
 from solver.meshio.ply_colours import paint_of_ply
@@ -26,6 +26,7 @@ class ScanColours:
     vertices: Floats  # (n, 3) in the file's unit, unmended
     faces: Ints  # (f, 3)
     paint: Paint
+    findings: tuple[Finding, ...] = ()  # what its file has otherwise than most
 
     def at(self, faces: Ints, shares: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Return colours (k, 3), sRGB in [0, 1], and which places (k,) have one.
@@ -120,4 +121,48 @@ def read_colours(path: Path, scan: RawScan) -> ScanColours | None:
     if len(paint.images_of) != len(scan.faces):
         reason = f"{path.name}: its faces and texture coordinates do not match"
         raise InputError("texture.unreadable", reason, file=path.name)
-    return ScanColours(scan.vertices, scan.faces, paint)
+    findings = []
+    if paint.missing:
+        message = f"{path.name}: {', '.join(paint.missing)} does not lie beside it."
+        advice = "Send it with the scan: what lies on it has no colours."
+        findings.append(Finding("texture.missing", "warning", message, advice))
+    colours = ScanColours(scan.vertices, scan.faces, paint)
+    if is_flipped(colours):
+        colours = replace(colours, paint=paint.flipped())
+        message = f"{path.name}: its texture coordinates go down from the upper edge of the image."
+        advice = "They were read so, as colours meet at the seams then, and do not otherwise."
+        findings.append(Finding("texture.flipped", "info", message, advice))
+    return replace(colours, findings=tuple(findings))
+
+
+@dataclass(frozen=True)
+class FlipOptions:
+    """When images are taken for upside down: jumps of colour at seams, of 1 for black to white."""
+
+    seams: int = 4000  # that are looked at, at most
+    least_seams: int = 30  # with fewer the file is believed
+    least_jump: float = 0.05  # as it is read: below, the colours meet
+    clear: float = 0.5  # most of this that is left when turned over
+
+
+FLIP = FlipOptions()
+
+
+def is_flipped(colours: ScanColours, options: FlipOptions = FLIP) -> bool:
+    """Return whether colours meet at a scan's seams only with its images turned upside down."""
+    if not colours.paint.images:
+        return False
+    _, place = weld(colours.vertices)  # files have a vertex at a seam twice
+    pairs = colours.seams(place[colours.faces])
+    if len(pairs) < options.least_seams:
+        return False
+    pairs = pairs[:: -(-len(pairs) // options.seams)]
+    as_read = _jump(colours, pairs)
+    turned = _jump(replace(colours, paint=colours.paint.flipped()), pairs)
+    return as_read > options.least_jump and turned < options.clear * as_read
+
+
+def _jump(colours: ScanColours, pairs: Ints) -> float:
+    """Return the mean difference of colour across seams, 1 where one side has none."""
+    (one, known), (other, also) = (colours.beside(sides) for sides in pairs.T)
+    return float(np.where(known & also, np.abs(one - other).mean(axis=1), 1.0).mean())
