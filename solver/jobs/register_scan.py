@@ -118,7 +118,7 @@ def _leave_texture(
     told: dict[str, Any],
 ) -> list[Path]:
     """Leave the scan's colours on the registered skin, if it has any."""
-    colours = read_colours(scan, raw)
+    colours = read_colours(scan, raw, task.options.colours)
     if colours is None:
         return []
     told["findings"] += [each.to_dict() for each in colours.findings]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from solver.errors import Finding, InputError
-from solver.meshio.glb_colours import paint_of_glb
+from solver.meshio.glb_colours import paint_of_glb, to_srgb
 from solver.meshio.mesh import read_content, weld
 from solver.meshio.obj_colours import paint_of_obj
 from solver.meshio.paint import BARE, Paint
@@ -99,10 +100,13 @@ def bilinear(image: Texels, places: Floats) -> Floats:
     return found / 255.0
 
 
-def read_colours(path: Path, scan: RawScan) -> ScanColours | None:
+def read_colours(
+    path: Path, scan: RawScan, of_vertices: Literal["srgb", "linear"] = "srgb"
+) -> ScanColours | None:
     """Return the colours of a ``scan`` as it was read from ``path``, not mended; None: it has none.
 
-    Images are those that its file names, in it (GLB) or beside it (PLY, and OBJ by its MTL). Raises
+    Images are those that its file names, in it (GLB) or beside it (PLY, and OBJ by its MTL). An OBJ
+    or PLY has the colours ``of_vertices`` in sRGB or in linear light: no file says which. Raises
     :class:`InputError`: ``texture.path``, ``texture.missing`` or ``texture.unreadable``.
     """
     if not len(scan.faces):
@@ -115,7 +119,8 @@ def read_colours(path: Path, scan: RawScan) -> ScanColours | None:
     elif scan.format == "glb":
         paint = paint_of_glb(path, read_content(path, MAX_BYTES, "a raw scan"))
     if paint is None and scan.colours is not None:
-        paint = Paint.of_vertices(scan.colours, len(scan.faces))
+        srgb = scan.colours if of_vertices == "srgb" else to_srgb(scan.colours)
+        paint = Paint.of_vertices(srgb, len(scan.faces))
     if paint is None:
         return None
     if len(paint.images_of) != len(scan.faces):

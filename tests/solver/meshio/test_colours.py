@@ -266,6 +266,13 @@ def test_vertex_colours_of_ply_and_obj(tmp_path: Path) -> None:
     path = tmp_path / "a.obj"
     path.write_text("v 0 0 0 0 1 0\nv 1 0 0 0 1 0\nv 0 1 0 0 1 0\nf 1 2 3\n")
     assert middle(path) == pytest.approx([0, 1, 0])
+    # linear light, which a file cannot say of itself
+    path.write_text("v 0 0 0 0.214 1 0\nv 1 0 0 0.214 1 0\nv 0 1 0 0.214 1 0\nf 1 2 3\n")
+    for space, red in (("srgb", 0.214), ("linear", 0.5)):
+        found = read_colours(path, read_raw(path), space)
+        assert found is not None
+        colour, _ = found.at(np.zeros(1, np.int64), MIDDLE)
+        assert colour[0] == pytest.approx([red, 1, 0], abs=1e-3)
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n")
     assert colours(path) is None
 
