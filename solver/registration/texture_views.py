@@ -19,6 +19,7 @@ from solver.registration.skin_images import wear
 from solver.registration.texture import Texture
 from solver.surface import Floats, Ints, Surface, faces_within
 
+UNKNOWN = 0.8  # grey of what is there and has no colour, as eyes have none
 Known = NDArray[np.bool_]
 
 
@@ -87,7 +88,7 @@ class TextureViews:
         columns = [Column(caption, [scan, skin]) for caption, scan, skin in pairs]
         told = self.figures
         detail = "no pixel shows both"
-        if told:
+        if "ssim" in told:
             detail = (
                 f"structural similarity {told['ssim']:.2f}    difference of colour "
                 f"{told['delta_e_mean']:.1f} (CIE 1976), 95 % below {told['delta_e_p95']:.1f}"
@@ -114,7 +115,8 @@ def compare_views(
     scan = Surface(np.where(finite[:, None], placed, 0.0), colours.faces[numbers])
     on_face = faces_within(skin.faces, face)
     worn = wear(skin, texture.coordinates, opaque(texture.colours))
-    views = TextureViews({}, [], [])
+    of_scan = []
+    of_skin = []
     apart = []
     alike = []
     for yaw in np.radians(options.yaws):
@@ -125,27 +127,31 @@ def compare_views(
         shown, known = _drawn(raw.mask, *colours.at(numbers[faces], shares))
         faces, shares = drawn.places
         colour, mapped = worn.at(faces, shares)
-        views.scan.append(shown.astype(np.float32))
-        views.skin.append(_drawn(drawn.mask, colour, mapped)[0].astype(np.float32))
+        of_scan.append(shown.astype(np.float32))
+        of_skin.append(_drawn(drawn.mask, colour, mapped)[0].astype(np.float32))
         own, compared = _drawn(drawn.mask, colour, mapped & on_face[faces])
         compared &= known
-        lab = to_lab(own), to_lab(shown)
-        apart.append(np.linalg.norm(lab[0] - lab[1], axis=-1)[compared])
-        grey = [np.where(compared, each[..., 0] / 100.0, 1.0) for each in lab]
+        one, other = (to_lab(image[compared]) for image in (own, shown))
+        apart.append(np.linalg.norm(one - other, axis=1))
+        grey = [_spread(compared, each[:, 0] / 100.0) for each in (one, other)]
         alike.append(ssim(*grey)[compared])
-    every = np.concatenate(apart)
-    if not len(every):
-        return views
-    figures = {
-        "ssim": float(np.concatenate(alike).mean()),
-        "delta_e_mean": float(every.mean()),
-        "delta_e_p95": float(np.percentile(every, 95)),
-    }
+    figures = _figures(np.concatenate(apart), np.concatenate(alike))
     across = seam_delta_e(worn, on_face)
     if across is not None:
         figures["seam_delta_e"] = across
-    views.figures.update({name: round(value, 4) for name, value in figures.items()})
-    return views
+    rounded = {name: round(value, 4) for name, value in figures.items()}
+    return TextureViews(rounded, of_scan, of_skin)
+
+
+def _figures(apart: Floats, alike: Floats) -> dict[str, float]:
+    """Return what differences and likeness (k,) of pixels come to; nothing without any."""
+    if not len(apart):
+        return {}
+    return {
+        "ssim": float(alike.mean()),
+        "delta_e_mean": float(apart.mean()),
+        "delta_e_p95": float(np.percentile(apart, 95)),
+    }
 
 
 def seam_delta_e(worn: ScanColours, on_face: Known) -> float | None:
@@ -162,10 +168,17 @@ def seam_delta_e(worn: ScanColours, on_face: Known) -> float | None:
     return float(np.linalg.norm(one - other, axis=1).mean())
 
 
+def _spread(mask: Known, values: Floats) -> Floats:
+    """Return an image (h, w) of ``values`` (k,) at the pixels of a ``mask``, 1 elsewhere."""
+    image = np.ones(mask.shape)
+    image[mask] = values
+    return image
+
+
 def _drawn(mask: Known, colour: Floats, known: Known) -> tuple[Floats, Known]:
-    """Return colours at the pixels of a ``mask`` as an image, white elsewhere, and where any is."""
+    """Return colours at the pixels of a ``mask`` as an image, white around it, and where any is."""
     image = np.ones((*mask.shape, 3))
-    image[mask] = np.where(known[:, None], colour, 1.0)
+    image[mask] = np.where(known[:, None], colour, UNKNOWN)
     where = np.zeros(mask.shape, bool)
     where[mask] = known
     return image, where
