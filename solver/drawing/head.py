@@ -161,6 +161,7 @@ SIDE = np.radians(88.0)
 
 EYE_SUBDIVISIONS = 2  # so that the iris has a round edge
 NONE = np.zeros((0, 3), np.int64)
+WORN_GLOSS = 0.03  # of a skin in a scan's colours, which have highlights in them
 
 
 class DrawnHead:
@@ -214,7 +215,7 @@ class DrawnHead:
             colours, known = image(self._skin_numbers[own], shares)
             return colours, known & on_skin
 
-        return replace(self.body(lit), image=at)
+        return replace(self.body(lit), image=at, gloss=WORN_GLOSS)
 
     def heat_map(self, lit: Lit, error_mm: Floats, most_mm: float = HEAT_MAX_MM) -> DrawnBody:
         """Return the head in the colours of a distance (v,) in mm, grey where it is NaN."""
