@@ -18,14 +18,15 @@ from PIL import Image
 from benchmarks.detail_views import read_placed
 from benchmarks.documents import Figures
 from benchmarks.photo_pair import fit_camera, read_texture
-from benchmarks.texture_views import ssim, to_lab
 from solver.anatomy.template import Template
 from solver.drawing.render import rasterise
 from solver.jobs import run_job
 from solver.meshio.colours import ScanColours, bilinear
 from solver.meshio.paint import BARE, Paint
+from solver.meshio.texture_images import opaque
 from solver.photo.camera import PinholeCamera
 from solver.registration.texture import TEXTURE, bake, texture_coordinates
+from solver.registration.texture_views import ssim, to_lab
 from solver.registration.topology import topology
 from solver.similarity import Similarity
 from solver.surface import Floats, Surface, area_normals, faces_within, unit_rows
@@ -66,7 +67,7 @@ class View:
         normals = unit_rows(area_normals(scan.vertices, scan.faces))
         towards = unit_rows(eye - scan.vertices[scan.faces].mean(axis=1))
         shown &= np.einsum("nd,nd->n", normals, towards) > LEAST_COSINE
-        image = np.dstack([self.pixels, np.full((height, width), 255, np.uint8)])
+        image = opaque(self.pixels)
         places = (points[:, :2] / self.size)[scan.faces]
         return ScanColours(
             scan.vertices, scan.faces, Paint((image,), np.where(shown, 0, BARE), places)

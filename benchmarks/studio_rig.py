@@ -39,7 +39,7 @@ from benchmarks.baked_detail import measure as measure_detail
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.muscle_actions import has_lids, lid_gap
 from benchmarks.stereo_views import measure_stereo
-from benchmarks.texture_views import measure
+from benchmarks.texture_views import measure_texture
 from myoface.demo.outcome import khronos_validation
 from solver.anatomy.template import CORRECTED, ShapeBasis
 from solver.animation import RecordedDrives
@@ -114,7 +114,7 @@ def run(options: argparse.Namespace) -> Figures:
     if "texture" in options.parts:
         parts["texture"] = {"note": "not measured: --scan names a scan with colours"}
         if options.scan is not None:
-            parts["texture"] = measure(options.scan, options.template, options.picture)
+            parts["texture"] = measure_texture(options.scan, options.template, options.picture)
     if "detail" in options.parts:
         parts["detail"] = {"note": "not measured: it takes minutes"}
         if not options.quick:

@@ -54,6 +54,14 @@ def edge_keys(faces: Ints, *, directed: bool) -> Ints:
     return np.asarray(one * (int(faces.max(initial=0)) + 1) + other, np.int64)
 
 
+def side_pairs(faces: Ints) -> Ints:
+    """Return pairs (k, 2) of :func:`directed_edges` that are one edge of two triangles."""
+    keys = edge_keys(faces, directed=False)
+    order = np.argsort(keys, kind="stable")
+    same = keys[order[1:]] == keys[order[:-1]]
+    return np.column_stack([order[:-1][same], order[1:][same]])
+
+
 def adjacency(faces: Ints, count: int) -> sp.csr_array:
     """Return the symmetric (count, count) matrix with 1 for every pair of vertices on an edge."""
     ends = np.roll(faces, 1, axis=1)

@@ -5,9 +5,9 @@ With its Python module (scripts/blender-venv makes one):
     .venv-blender/bin/python docs/examples/blender_studio.py studio.glb rig.blend \
         --recording take.csv --rate 60 --fbx rig.fbx
 
-The object ``skin`` has the shapes; eyes, teeth, mouth and lashes follow its values by drivers, and
-so do the shapes ``..._half``. Wrinkles that ``studio.json``, beside the GLB, names are added to the
-skin's normals, driven by its shapes. Where that file has turns for a shape, joints are keyed by the
+The object ``skin`` has the shapes; all other parts follow its values by drivers, and so do the
+shapes ``..._half``. Wrinkles that ``studio.json``, beside the GLB, names are added to the skin's
+normals, driven by its shapes. Where that file has turns for a shape, joints are keyed by the
 recording's weights, too. A recording is a CSV file of Live Link Face.
 """
 

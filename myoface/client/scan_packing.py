@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from zipfile import ZipFile, ZipInfo
 
@@ -11,6 +12,8 @@ import anyio
 LIBRARY = re.compile(rb"^mtllib[ \t]+(.+?)[ \t\r]*$", re.MULTILINE)
 IMAGE = re.compile(rb"^[ \t]*map_Kd[ \t]+(.+?)[ \t\r]*$", re.MULTILINE | re.IGNORECASE)
 COMMENT = re.compile(rb"^comment[ \t]+TextureFile[ \t]+(.+?)[ \t\r]*$", re.MULTILINE)
+UDIM = re.compile("<UDIM>", re.IGNORECASE)  # in an image's name: the number of a tile
+TILE = re.compile(r"1\d{3}")
 LONGEST_MTL = 1 << 24  # bytes
 LONGEST_HEADER = 1 << 16  # of a PLY
 
@@ -51,8 +54,8 @@ def _start(path: Path, most: int) -> bytes:
 def _beside(scan: Path, lines: list[bytes]) -> dict[str, Path]:
     """Return the files beside a scan that lines end with the names of: they may have blanks."""
     found = {}
-    for line in lines:
-        words = line.decode("utf-8", "replace").removeprefix("./").split(" ")
+    for line in _tiled(scan, lines):
+        words = line.removeprefix("./").split(" ")
         ends = (" ".join(words[first:]).removeprefix("./") for first in range(len(words)))
         for name in ends:
             path = scan.with_name(name) if name and not re.search(r"[/\\:]", name) else None
@@ -60,3 +63,14 @@ def _beside(scan: Path, lines: list[bytes]) -> dict[str, Path]:
                 found[name] = path
                 break
     return found
+
+
+def _tiled(scan: Path, lines: list[bytes]) -> Iterator[str]:
+    """Yield lines as text, one with ``<UDIM>`` once for each tile that may lie beside a scan."""
+    for line in lines:
+        text = line.decode("utf-8", "replace")
+        if UDIM.search(text):
+            names = " ".join(path.name for path in scan.parent.iterdir())
+            yield from (UDIM.sub(number, text) for number in sorted({*TILE.findall(names)}))
+        else:
+            yield text

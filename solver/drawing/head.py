@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import colorsys
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import igl
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from solver.drawing.render import GAMMA, Camera, DrawnBody, Lit
+from solver.drawing.render import GAMMA, Camera, ColoursAt, DrawnBody, Lit
 from solver.model import OTHER_SIDE, name_words
 from solver.surface import Floats, Ints, Surface, adjacency, nearest_sphere, own_numbers
 
@@ -160,6 +161,7 @@ SIDE = np.radians(88.0)
 
 EYE_SUBDIVISIONS = 2  # so that the iris has a round edge
 NONE = np.zeros((0, 3), np.int64)
+WORN_GLOSS = 0.03  # of a skin in a scan's colours, which have highlights in them
 
 
 class DrawnHead:
@@ -169,7 +171,9 @@ class DrawnHead:
     """
 
     def __init__(self, neutral: Surface) -> None:
-        parts = {name: neutral.faces[faces] for name, faces in skin_parts(neutral).items()}
+        numbers = skin_parts(neutral)
+        parts = {name: neutral.faces[faces] for name, faces in numbers.items()}
+        self._skin_numbers = numbers["skin"]
         self._colour = np.tile(COLOURS["skin"], (len(neutral.vertices), 1))
         for name, faces in parts.items():
             self._colour[faces] = COLOURS.get(name, COLOURS["skin"])
@@ -201,6 +205,17 @@ class DrawnHead:
     def body(self, lit: Lit, faces: Ints | None = None, *, opacity: float = 1.0) -> DrawnBody:
         """Return the head, or some of its faces, in natural colours."""
         return DrawnBody(lit, self._colour, faces=faces, opacity=opacity)
+
+    def wearing(self, lit: Lit, image: ColoursAt) -> DrawnBody:
+        """Return the head with a skin in the colours of an ``image`` of the neutral's triangles."""
+
+        def at(faces: Ints, shares: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+            on_skin = faces < len(self._skin_numbers)  # drawn before all other parts
+            own = np.where(on_skin, faces, 0)
+            colours, known = image(self._skin_numbers[own], shares)
+            return colours, known & on_skin
+
+        return replace(self.body(lit), image=at, gloss=WORN_GLOSS)
 
     def heat_map(self, lit: Lit, error_mm: Floats, most_mm: float = HEAT_MAX_MM) -> DrawnBody:
         """Return the head in the colours of a distance (v,) in mm, grey where it is NaN."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 
@@ -216,6 +217,12 @@ class Visible:
         """Return (h, w), true where there is a triangle."""
         return self.triangle >= 0
 
+    @property
+    def places(self) -> tuple[Ints, Floats]:
+        """Return triangle (k,) and shares (k, 3) of its corners at the pixels of the mask."""
+        mask = self.mask
+        return self.triangle[mask].astype(np.int64), self.weights[mask].astype(np.float64)
+
     def interpolate(self, values: Floats) -> Pixels:
         """Return vertex values (n, k) at the pixels where there is a triangle, (pixels, k)."""
         mask = self.mask
@@ -310,6 +317,11 @@ class Lit:
         self.light = irradiance(surface, self.normals) if light is None else light
 
 
+# Takes numbers of triangles (k,) and shares (k, 3) of their corners, and returns colours (k, 3),
+# sRGB in [0, 1], and which places (k,) have one.
+ColoursAt = Callable[[Ints, Floats], tuple[Floats, NDArray[np.bool_]]]
+
+
 @dataclass(frozen=True)
 class DrawnBody:
     """A lit surface with a linear colour (n, 3) per vertex, and how it is drawn.
@@ -317,7 +329,8 @@ class DrawnBody:
     ``gloss`` is the strength of the highlight. An ``opacity`` under 1 lets what is behind shine
     through where the surface faces the camera, while its outline stays. ``edges`` draws triangles'
     edges. ``faces`` (f, 3) are those that are drawn, all by default. ``cover`` (n,) is how much of
-    each vertex is there, 0 where a surface fades out before it ends.
+    each vertex is there, 0 where a surface fades out before it ends. ``image`` colours what it
+    knows of the drawn triangles in place of their vertices' colours.
     """
 
     lit: Lit
@@ -327,6 +340,7 @@ class DrawnBody:
     edges: bool = False
     faces: Ints | None = None
     cover: Floats | None = None
+    image: ColoursAt | None = None
 
     @property
     def drawn(self) -> Surface:
@@ -373,7 +387,19 @@ def _draw(image: Pixels, body: DrawnBody, seen: Visible, camera: Camera) -> None
     key = LAMPS[0][0] / np.linalg.norm(LAMPS[0][0])
     values = np.hstack(columns).astype(np.float32)
     pixels = seen.triangle, seen.weights, seen.faces
-    _shade(image, *pixels, values, eye, key, body.gloss, body.opacity, edges)
+    own = np.zeros((0, 0, 3), np.float32)
+    if body.image is not None:
+        own = _image_colours(body.image, seen)
+    _shade(image, *pixels, values, own, eye, key, body.gloss, body.opacity, edges)
+
+
+def _image_colours(image: ColoursAt, seen: Visible) -> Pixels:
+    """Return linear colours (h, w, 3) of pixels by an image, not-a-number where it has none."""
+    mask = seen.mask
+    srgb, known = image(*seen.places)
+    colours = np.full((*mask.shape, 3), np.nan, np.float32)
+    colours[mask] = np.where(known[:, None], srgb**GAMMA, np.nan)
+    return colours
 
 
 @njit(cache=True, error_model="numpy")
@@ -383,6 +409,7 @@ def _shade(
     weights: Pixels,
     faces: Ints,
     values: Pixels,
+    own: Pixels,
     eye: Floats,
     key: Floats,
     gloss: float,
@@ -391,7 +418,8 @@ def _shade(
 ) -> None:
     """Draw over ``image`` what ``values`` (n, 13) of vertices make of every pixel.
 
-    They are colour, light, normal, place and cover; ``edges`` (h, w) is empty without any.
+    They are colour, light, normal, place and cover. ``edges`` (h, w) and pixels' ``own`` colours
+    (h, w, 3) are empty without any.
     """
     at = np.empty(values.shape[1])
     for row in range(image.shape[0]):
@@ -416,7 +444,10 @@ def _shade(
                 there *= opacity + (1.0 - opacity) * max(1.0 - facing, 0.0) ** 2.5
             dim = 1.0 - EDGE * edges[row, column] if len(edges) else 1.0
             for k in range(3):
-                colour = (at[k] + shine) * at[3 + k]
+                base = at[k]
+                if len(own) and not math.isnan(own[row, column, k]):
+                    base = own[row, column, k]
+                colour = (base + shine) * at[3 + k]
                 colour *= dim * (1.0 + SHOULDER) / (1.0 + SHOULDER * colour)
                 image[row, column, k] += there * (colour - image[row, column, k])
 

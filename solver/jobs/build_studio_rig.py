@@ -58,6 +58,7 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
         name = model.template.get("name", "")
         raise InputError("blendshapes.none", f"the template {name} has no expressions")
     texture = _read_texture(task, template, len(model.skin.faces))
+    quality = {} if texture is None else texture.figures
     wrinkles = {}
     if task.captures:  # whatever is wrong with one is told before the shapes are solved
         coordinates = texture_coordinates(template)
@@ -96,13 +97,14 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
     for notice in notices:
         progress(Step("warning", MADE, message=f"{notice.message} {notice.advice}"))
     picture = task.out / "studio.png"
-    draw_shapes(model, light, picture)
+    draw_shapes(model, light, texture, picture)
     report = task.out / "studio.json"
     figures = {
         **tell_shapes(light, shapes),
         **tell_blendshapes(blendshapes),
         "driven_by": given.driven_by,
         "has_texture": texture is not None and texture.colours is not None,
+        "texture": quality,
         "has_normals": texture is not None and texture.normals is not None,
         "notices": [notice.to_dict() for notice in notices],
         "wrinkles": {each.name: each.told() for each in wrinkled},
@@ -212,13 +214,17 @@ SHOWN = {
 LAYOUT = SheetLayout(cell=(300, 380), label=20, foot=40)
 
 
-def draw_shapes(model: SubjectModel, light: LightRig, path: Path) -> None:
-    """Draw some shapes of a light rig, whole, and mixed."""
+def draw_shapes(
+    model: SubjectModel, light: LightRig, texture: SkinTexture | None, path: Path
+) -> None:
+    """Draw some shapes of a light rig, whole, and mixed, in its skin's colours if it has any."""
     head = DrawnHead(model.skin)
     camera = face_camera(model.skin.vertices, model.face, 0.0)
-    columns = [
-        Column.of(name, [head.body(head.lit(light.play(weights)))], camera, LAYOUT)
-        for name, weights in SHOWN.items()
-    ]
+    worn = None if texture is None else texture.on(model.skin)
+    columns = []
+    for name, weights in SHOWN.items():
+        lit = head.lit(light.play(weights))
+        body = head.body(lit) if worn is None else head.wearing(lit, worn.at)
+        columns.append(Column.of(name, [body], camera, LAYOUT))
     detail = f"{len(light.names)} shapes, {len(light.skeleton.joints)} joints"
     draw_sheet(path, "The studio's rig", detail, ("",), columns, LAYOUT, scale_mm=None)

@@ -24,6 +24,7 @@ from solver.registration.normal_maps import read_normals
 from solver.registration.register import RegisteredFace, register
 from solver.registration.report import distance_picture, report
 from solver.registration.texture import TEXTURE, bake, texture_coordinates
+from solver.registration.texture_views import compare_views
 from solver.registration.topology import Topology, topology
 from solver.registration.wrinkles import wrinkles
 from solver.similarity import IDENTITY, Similarity
@@ -38,8 +39,9 @@ def run(task: Task[RegisterScan]) -> list[Path]:
 
     The scan may be a ZIP of a mesh with its images. ``landmarks`` are in its own unit and axes.
     ``registered.ply`` has the template's vertices in mm with the property ``confidence``. Of a scan
-    with colours there are ``texture.png`` and ``texture_confidence.png``, too; images that cannot
-    be used are a finding. Of one that is finer than the template there are ``normals.png`` and
+    with colours there are ``texture.png`` and ``texture_confidence.png``, too, and
+    ``texture_views.png``, which has the textured skin beside the scan; images that cannot be used
+    are a finding. Of one that is finer than the template there are ``normals.png`` and
     ``displacement.png``, and of an expression with the neutral's ``normals``
     ``wrinkle_normals.png``. Raises :class:`solver.errors.InputError` for files that cannot be used
     and for a scan without a face (``scan.not_a_face``).
@@ -116,16 +118,23 @@ def _leave_texture(
     told: dict[str, Any],
 ) -> list[Path]:
     """Leave the scan's colours on the registered skin, if it has any."""
-    colours = read_colours(scan, raw)
+    colours = read_colours(scan, raw, task.options.colours)
     if colours is None:
         return []
+    told["findings"] += [each.to_dict() for each in colours.findings]
     coordinates = texture_coordinates(known.template)
     options = replace(TEXTURE, size=task.options.texture_size)
-    texture = bake(colours, _onto_skin(registered), registered.scanned, known, coordinates, options)
+    skin = registered.scanned
+    onto = _onto_skin(registered)
+    bare = bake(colours, onto, skin, known, coordinates, options)
+    views = compare_views(colours, onto(colours.vertices), skin, known.face, bare)
+    texture = replace(bare, figures=bare.figures | views.figures)
     images = [task.out / name for name in ("texture.png", "texture_confidence.png")]
     texture.write(*images)
     told["texture"] = texture.figures
-    return images
+    picture = task.out / "texture_views.png"
+    views.draw(picture)
+    return [*images, picture]
 
 
 def _bake_detail(

@@ -21,6 +21,11 @@ class RegisterScan(FrameOptions):
         description="pixels of a side of texture.png, where the scan has colours, and of "
         "normals.png, where it is finer than the template",
     )
+    colours: Literal["srgb", "linear"] = Field(
+        default="srgb",
+        description="how an OBJ or PLY has the colours of its vertices: as images have them, or in "
+        "linear light; a GLB's are linear always, and images sRGB",
+    )
     detail_width_mm: float = Field(
         default=25.0,
         ge=5,

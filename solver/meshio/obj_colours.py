@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from solver.errors import file_error, quote
+from solver.errors import InputError, file_error, quote
 from solver.meshio.mesh import fan, parse_rows
 from solver.meshio.paint import BARE, Paint
 from solver.meshio.texture_images import ImageReader, Texels, read_sidecar, sidecar
@@ -19,6 +19,7 @@ FACE = (b"f ", b"f\t")
 # Options of map_Kd, each with the words that may follow it: numbers, or one of another kind.
 NUMBERS = {"-o": 3, "-s": 3, "-t": 3, "-mm": 2, "-bm": 1, "-boost": 1, "-texres": 1}
 WORDS = {"-blendu", "-blendv", "-cc", "-clamp", "-imfchan", "-type"}
+UDIM = re.compile("<UDIM>", re.IGNORECASE)  # in a name: the number of a tile
 
 
 @dataclass(frozen=True)
@@ -109,16 +110,45 @@ def _paint(path: Path, places: Floats, faces: _Faces, maps: dict[str, Map]) -> P
     images_of = np.full(len(corners), BARE)
     files: dict[str, int] = {}
     images: list[Texels] = []
+    missing: dict[str, InputError] = {}
     for name, one in maps.items():
-        if one.name not in files:
-            image = sidecar(path, one.name, f"the material {quote(name)} of {path.name}")
-            files[one.name] = len(images)
-            images.append(reader.read(image.name, read_sidecar(image)))
-        own = whole & (faces.material == faces.materials.index(name))
-        images_of[own] = files[one.name]
+        own = np.flatnonzero(whole & (faces.material == faces.materials.index(name)))
         coordinates[own] = coordinates[own] * one.scale + one.offset
+        written_in = f"the material {quote(name)} of {path.name}"
+        for file, triangles in _tiles(one.name, coordinates[own]).items():
+            if file not in files:
+                try:
+                    image = sidecar(path, file, written_in)
+                except InputError as error:
+                    if file == one.name or error.code != "texture.missing":
+                        raise
+                    missing[file] = error  # a tile: others may be there
+                    continue
+                files[file] = len(images)
+                images.append(reader.read(image.name, read_sidecar(image)))
+            images_of[own[triangles]] = files[file]
+    if missing and not images:
+        raise next(iter(missing.values()))
     coordinates[:, :, 1] = 1.0 - coordinates[:, :, 1]  # v goes up from the lower edge
-    return Paint(tuple(images), images_of, coordinates)
+    return Paint(tuple(images), images_of, coordinates, missing=tuple(missing))
+
+
+def _tiles(name: str, coordinates: Floats) -> dict[str, Ints]:
+    """Return the triangles on each image of a material, given their corners' places (t, 3, 2).
+
+    A name with ``<UDIM>`` has an image for each unit square, which are numbered from 1001 on, ten
+    in a row. A triangle that lies in none of them is in no image.
+    """
+    if not UDIM.search(name):
+        return {name: np.arange(len(coordinates))}
+    middle = np.nan_to_num(coordinates.mean(axis=1), nan=-1.0)
+    column, row = np.floor(middle).T
+    within = (column >= 0) & (column < 10) & (row >= 0) & (row < 100)
+    numbers = np.where(within, 1001 + column + 10 * row, 0).astype(np.int64)
+    return {
+        UDIM.sub(str(number), name): np.flatnonzero(numbers == number)
+        for number in np.unique(numbers[within])
+    }
 
 
 def read_materials(path: Path) -> dict[str, Map]:

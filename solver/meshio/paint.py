@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,12 @@ class Paint:
     # height from the upper one; beyond 0 to 1 the image repeats
     coordinates: Floats
     vertices: Floats | None = None  # (n, 3) colours, sRGB in [0, 1]
+    missing: tuple[str, ...] = ()  # tiles that triangles lie on and the file's folder has not
+
+    def flipped(self) -> Paint:
+        """Return the same with every image upside down."""
+        turned = self.coordinates * np.array([1.0, -1.0]) + np.array([0.0, 1.0])
+        return replace(self, coordinates=turned)
 
     @classmethod
     def of_vertices(cls, colours: Floats | None, faces: int) -> Paint:

@@ -119,6 +119,11 @@ class ImageReader:
             raise file_error("texture.unreadable", file, reason, found=[width, height])
 
 
+def opaque(colours: NDArray[np.uint8]) -> Texels:
+    """Return an image of colours (h, w, 3) as one of texels that hide what is behind."""
+    return np.dstack([colours, np.full(colours.shape[:2], 255, np.uint8)])
+
+
 @contextmanager
 def _own_limit() -> Iterator[None]:
     """Let Pillow open what :data:`MOST_PIXELS` allows, which is checked before it decodes."""
@@ -138,7 +143,7 @@ def _texels(image: Image.Image) -> Texels:
     if is_deep:
         grey = np.asarray(image).astype(np.uint32)
         grey = np.clip(grey >> 8, 0, 255).astype(np.uint8)
-        return np.dstack([grey, grey, grey, np.full_like(grey, 255)])
+        return opaque(np.dstack([grey, grey, grey]))
     if image.mode == "F":
         raise ValueError("its values are no whole numbers")
     return np.array(image.convert("RGBA"))

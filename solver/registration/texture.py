@@ -20,7 +20,7 @@ from solver.anatomy.texture_coordinates import TextureCoordinates, unwrap
 from solver.drawing.head import skin_parts
 from solver.meshio.colours import ScanColours
 from solver.registration.placed_scan import TRUST, PlacedScan, ScanTrust
-from solver.registration.skin_images import made_for
+from solver.registration.skin_images import add_figures, made_for
 from solver.registration.texels import Texels, to_bytes
 from solver.registration.texture_fill import ColouredTexels, fill
 from solver.registration.topology import Topology
@@ -54,6 +54,7 @@ class Texture:
         """Write both images as PNG."""
         about = made_for(self.coordinates)
         about.add(b"sRGB", b"\0")
+        add_figures(about, self.figures, self.colours)
         Image.fromarray(self.colours).save(path, pnginfo=about)
         Image.fromarray(self.confidence).save(confidence)
 

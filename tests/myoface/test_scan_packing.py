@@ -33,8 +33,10 @@ def scan_of(folder: Path) -> Path:
     scan.write_text("mtllib ./head skin.mtl\nmtllib lost.mtl\nv 0 0 0\n")
     lines = ["newmtl a", "map_Kd -clamp on my skin.png", "newmtl b", "\tmap_kd é.jpg"]
     lines += ["newmtl c", "map_Kd ../../secret.png", "newmtl d", "map_Kd skin.png"]
+    lines += ["newmtl e", "map_Kd body.<UDIM>.png"]
     (folder / "head skin.mtl").write_text("\n".join(lines))
-    for name in ("my skin.png", "é.jpg", "other.png"):
+    tiles = ("body.1001.png", "body.1012.png")
+    for name in ("my skin.png", "é.jpg", "other.png", "other.1001.png", *tiles):
         (folder / name).write_bytes(name.encode() * 1000)
     (folder.parent / "secret.png").write_bytes(b"not the scan's")
     return scan
@@ -65,7 +67,10 @@ def test_an_obj_goes_with_what_it_names_beside_it(tmp_path: Path) -> None:
     assert packed == tmp_path / "Zoë.zip"
     with ZipFile(packed) as archive:
         assert archive.testzip() is None
-        assert archive.namelist() == ["Zoë.obj", "head skin.mtl", "my skin.png", "é.jpg"]
+        assert archive.namelist() == [
+            *("Zoë.obj", "body.1001.png", "body.1012.png"),
+            *("head skin.mtl", "my skin.png", "é.jpg"),
+        ]
         assert archive.read("my skin.png") == (folder / "my skin.png").read_bytes()
     before = packed.read_bytes()
     assert with_images(scan, tmp_path).read_bytes() == before

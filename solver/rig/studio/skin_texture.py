@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from solver.anatomy.texture_coordinates import TextureCoordinates
 from solver.errors import InputError
-from solver.meshio.texture_images import read_sidecar
-from solver.registration.skin_images import check_made_for
+from solver.meshio.colours import ScanColours
+from solver.meshio.texture_images import ImageReader, Texels, read_sidecar
+from solver.registration.skin_images import check_made_for, read_figures, wear
+from solver.surface import Surface
 
 COLOURS = "studio_skin.png"  # beside a USD file, which names it
 NORMALS = "studio_normals.png"
@@ -40,6 +43,22 @@ class SkinTexture:
             return None if path is None else read_skin_image(path, coordinates, faces)
 
         return cls(coordinates, content(colours), content(normals))
+
+    @cached_property
+    def texels(self) -> Texels | None:
+        """The colours' texels; None: there are none. Raises ``texture.unreadable``."""
+        return None if self.colours is None else ImageReader().read("texture.png", self.colours)
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """What the registration said of the colours: nothing of such as are not its own."""
+        if self.colours is None or self.texels is None:
+            return {}
+        return read_figures(self.colours, self.texels[:, :, :3])
+
+    def on(self, skin: Surface) -> ScanColours | None:
+        """Return a ``skin`` with its colours; None: it has none."""
+        return None if self.texels is None else wear(skin, self.coordinates, self.texels)
 
     @property
     def files(self) -> dict[str, bytes]:

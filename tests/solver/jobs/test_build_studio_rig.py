@@ -6,12 +6,15 @@ import json
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from solver.anatomy.texture_coordinates import TextureCoordinates
 from solver.errors import InputError
 from solver.jobs import blendshapes, build_studio_rig, run_job
+from solver.registration.texture import Texture
 from solver.rig.frames.read_back import split_glb
-from tests.solver.jobs.test_learned_controls import NAMES, rig, template
+from tests.solver.jobs.test_learned_controls import MODEL, NAMES, rig, template
 
 __all__ = ["rig", "template"]  # fixtures
 pytestmark = pytest.mark.long
@@ -23,9 +26,18 @@ def built(template: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(job, "read_template", lambda _: template)
 
 
+def image(folder: Path, coordinates: TextureCoordinates) -> Path:
+    """Write the colours that a registration left, with what it says of them."""
+    path = folder / "texture.png"
+    pixels = np.full((8, 8, 3), 90, np.uint8)
+    texture = Texture(pixels, pixels[:, :, 0], coordinates, {"ssim": 0.93, "coverage": 0.9})
+    texture.write(path, folder / "confidence.png")
+    return path
+
+
 @pytest.mark.usefixtures("built")
 def test_shapes_are_the_muscles_and_have_arkit_s_names(
-    rig: Path, template: SimpleNamespace, tmp_path: Path
+    rig: Path, template: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files = run_job("build_studio_rig", tmp_path, options={"driven_by": "joints"}, rig=rig)
     told = json.loads((tmp_path / "studio.json").read_text())
@@ -48,12 +60,20 @@ def test_shapes_are_the_muscles_and_have_arkit_s_names(
     targets = {name for mesh in document["meshes"] for name in mesh["extras"]["targetNames"]}
     assert set(NAMES) == targets
     # blendshapes of an earlier job are taken as they are
+    assert told["texture"] == {}
     again = tmp_path / "again"
     given = tmp_path / "blendshapes.npz"
-    run_job("build_studio_rig", again, rig=rig, blendshapes=given)
+    corners = np.arange(MODEL.skin.faces.size, dtype=np.int32).reshape(-1, 3)
+    places = np.random.default_rng(5).random((corners.size, 2)).astype(np.float32)
+    coordinates = TextureCoordinates(places, corners)
+    monkeypatch.setattr(template, "texture", coordinates, raising=False)
+    texture = image(tmp_path, coordinates)
+    run_job("build_studio_rig", again, rig=rig, blendshapes=given, texture=texture)
     assert not (again / "expression_basis.npz").exists()
     shapes = json.loads((again / "studio.json").read_text())
     assert shapes["driven_by"] == "shapes"
+    assert shapes["texture"] == {"ssim": 0.93, "coverage": 0.9}
+    assert (again / "studio.png").read_bytes() != (tmp_path / "studio.png").read_bytes()
     assert "joints" not in shapes["shapes"]["jawOpen"]
 
 

@@ -12,7 +12,9 @@ from PIL import Image
 from myoface.client.scan_packing import with_images
 from solver.jobs import run_job
 from solver.registration.skin_images import MADE_FOR
+from solver.registration.texture import texture_coordinates
 from solver.registration.topology import topology
+from solver.rig.studio.skin_texture import SkinTexture
 from solver.surface import faces_within, part_of
 from solver.templates.builtin.build import builtin_template
 
@@ -45,7 +47,19 @@ def test_a_registration_leaves_the_colours_or_says_what_is_missing(tmp_path: Pat
     files = run_job("register_scan", out, options={"texture_size": 1024}, scan=packed)
     assert {"texture.png", "texture_confidence.png"} <= {file.name for file in files}
     told = json.loads((out / "registration.json").read_text())
-    assert told["texture"]["coverage"] > 0.9
+    quality = told["texture"]
+    assert quality["coverage"] > 0.9
+    assert quality["ssim"] > 0.9
+    assert quality["delta_e_mean"] < 2.0
+    with Image.open(out / "texture_views.png") as picture:
+        drawn = np.asarray(picture).astype(int)
+    strong = drawn[:, :, [0, 2]].max(axis=2) - drawn[:, :, 1] > 150  # of red or blue
+    for half in np.array_split(strong, 2):  # the scan above, the skin below
+        assert 0.1 < half.mean() < 0.9
+    # the image says so itself, to whatever wears it
+    coordinates = texture_coordinates(builtin_template())
+    worn = SkinTexture.read(coordinates, len(coordinates.corners), out / "texture.png")
+    assert worn.figures == quality
     with Image.open(out / "texture.png") as image:
         template = builtin_template()
         assert template.texture is not None

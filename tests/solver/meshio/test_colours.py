@@ -80,6 +80,84 @@ def test_several_materials_have_an_image_each_and_some_none(tmp_path: Path) -> N
     np.testing.assert_allclose(colour[[0, 2]], [[1, 0, 0], [0, 0, 1]], atol=1e-6)
 
 
+def test_tiles_lie_on_their_unit_squares_and_missing_ones_are_told(tmp_path: Path) -> None:
+    """Triangles in the first square, in the second of the second row, and where no tile lies."""
+    rows = [(0.25, 0.75), (1.25, 1.75), (2.25, 0.75), (-0.75, 0.75)]
+    text = "mtllib face.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl skin\n"
+    text += "".join(f"vt {u} {v}\n" for u, v in rows)
+    text += "".join(f"f 1/{k} 2/{k} 3/{k}\n" for k in range(1, len(rows) + 1))
+    path = obj(tmp_path, text, "newmtl skin\nmap_Kd skin.<UDIM>.png\n")
+    with pytest.raises(InputError, match=r"skin\.1001\.png") as caught:
+        colours(path)
+    assert caught.value.code == "texture.missing"
+    (tmp_path / "skin.1001.png").write_bytes(png(PICTURE))
+    (tmp_path / "skin.1012.png").write_bytes(png(PICTURE[:, ::-1].copy()))
+    found = colours(path)
+    assert found is not None
+    colour, known = found.at(np.arange(4), np.repeat(MIDDLE, 4, axis=0))
+    assert known.tolist() == [True, True, False, False]
+    np.testing.assert_allclose(colour[:2], [[1, 0, 0], [0, 1, 0]])
+    (told,) = found.findings
+    assert told.code == "texture.missing"
+    assert "skin.1003.png" in told.message
+
+
+def patches(folder: Path, *, is_flipped: bool, varied: bool = True) -> Path:
+    """Write a sheet of 8 x 8 squares, each in a place of its own in an image, by chance.
+
+    The image has the sheet's colours there, which change smoothly over it if they are ``varied``.
+    """
+    count = 8
+    rng = np.random.default_rng(3)
+    order = rng.permutation(count * count)
+    places = []
+    pixels = np.zeros((count * 16, count * 16, 3), np.uint8)
+    lines = ["mtllib face.mtl", "usemtl skin"]
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+    step = np.linspace(0.0, 1.0, 16)
+    for number, place in enumerate(order):
+        square = np.array(divmod(number, count))
+        row, column = divmod(int(place), count)
+        x, y = ((square[k] + step) / count for k in (0, 1))
+        tile = np.stack(np.meshgrid(x, 1.0 - y, [0.0], indexing="ij"), axis=-1)[:, :, 0]
+        if not varied:
+            tile[:] = 0.5
+        turned = tile.swapaxes(0, 1)[::-1]  # v goes up
+        block = slice(16 * row, 16 * row + 16), slice(16 * column, 16 * column + 16)
+        pixels[block] = np.round(255 * turned)
+        inside = 0.03 + 0.94 * corners
+        u = (column + inside[:, 0]) / count
+        v = (count - 1 - row + inside[:, 1]) / count
+        places += [(a, 1.0 - b if is_flipped else b) for a, b in zip(u, v, strict=True)]
+        lines += [f"v {a} {b} 0" for a, b in square + corners]
+    lines += [f"vt {a:.5f} {b:.5f}" for a, b in places]
+    for number in range(count * count):
+        first = 4 * number + 1
+        lines.append("f " + " ".join(f"{first + k}/{first + k}" for k in range(4)))
+    path = obj(folder, "\n".join(lines) + "\n", "newmtl skin\nmap_Kd skin.png\n")
+    (folder / "skin.png").write_bytes(png(pixels))
+    return path
+
+
+@pytest.mark.parametrize("is_flipped", [False, True])
+def test_coordinates_that_are_upside_down_are_found_by_the_seams(
+    tmp_path: Path, is_flipped: bool
+) -> None:
+    found = colours(patches(tmp_path, is_flipped=is_flipped))
+    assert found is not None
+    faces = np.arange(len(found.faces))
+    at, known = found.at(faces, np.full((len(faces), 3), 1 / 3))
+    assert known.all()
+    middle = found.vertices[found.faces].mean(axis=1) / 8
+    wanted = np.column_stack([middle[:, 0], 1.0 - middle[:, 1], np.zeros(len(faces))])
+    assert np.abs(at - wanted).max() < 0.05
+    assert [each.code for each in found.findings] == ["texture.flipped"] * is_flipped
+    # of an image that looks alike either way, the standard is taken
+    plain = colours(patches(tmp_path, is_flipped=is_flipped, varied=False))
+    assert plain is not None
+    assert not plain.findings
+
+
 @pytest.mark.parametrize(
     ("name", "code"),
     [
@@ -188,6 +266,13 @@ def test_vertex_colours_of_ply_and_obj(tmp_path: Path) -> None:
     path = tmp_path / "a.obj"
     path.write_text("v 0 0 0 0 1 0\nv 1 0 0 0 1 0\nv 0 1 0 0 1 0\nf 1 2 3\n")
     assert middle(path) == pytest.approx([0, 1, 0])
+    # linear light, which a file cannot say of itself
+    path.write_text("v 0 0 0 0.214 1 0\nv 1 0 0 0.214 1 0\nv 0 1 0 0.214 1 0\nf 1 2 3\n")
+    for space, red in (("srgb", 0.214), ("linear", 0.5)):
+        found = read_colours(path, read_raw(path), space)
+        assert found is not None
+        colour, _ = found.at(np.zeros(1, np.int64), MIDDLE)
+        assert colour[0] == pytest.approx([red, 1, 0], abs=1e-3)
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n")
     assert colours(path) is None
 

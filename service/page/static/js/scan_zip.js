@@ -15,6 +15,8 @@ const PIECE = 1 << 22;
 
 const LIBRARY = /^mtllib[ \t]+(.+?)[ \t\r]*$/gm;
 const IMAGE = /^[ \t]*map_Kd[ \t]+(.+?)[ \t\r]*$/gim;
+const UDIM = /<UDIM>/gi; // in an image's name: the number of a tile
+const TILE = /1\d{3}/g;
 const COMMENT = /^comment[ \t]+TextureFile[ \t]+(.+?)[ \t\r]*$/gm;
 
 /** Return the MTL files and images that an OBJ or PLY names among the `files` of its folder. */
@@ -37,10 +39,17 @@ async function lines(file, most, keyword) {
 /** Return the files whose names lines end with: names may have blanks, options come before them. */
 function named(lines, files) {
   const isNamed = (line, name) => line === name || line.endsWith(` ${name}`) || line.endsWith(`./${name}`);
-  return lines.flatMap((line) => {
+  return lines.flatMap((line) => tiled(line, files)).flatMap((line) => {
     const found = files.filter(({ name }) => isNamed(line, name));
     return found.sort((a, b) => b.name.length - a.name.length).slice(0, 1);
   });
+}
+
+/** Return a line, one with `<UDIM>` once for each tile that may be among the `files`. */
+function tiled(line, files) {
+  if (line.search(UDIM) < 0) return [line];
+  const numbers = new Set(files.flatMap(({ name }) => name.match(TILE) ?? []));
+  return [...numbers].sort().map((number) => line.replace(UDIM, number));
 }
 
 /** Return a scan and its images as a ZIP, or a scan without any as it is. */

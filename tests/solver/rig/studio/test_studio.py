@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image, PngImagePlugin
 from scipy.spatial.transform import Rotation
 
 from solver.anatomy.texture_coordinates import NOWHERE, TextureCoordinates
@@ -18,6 +19,7 @@ from solver.drawing.head import skin_parts
 from solver.errors import InputError, SolveError
 from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face, Pose
+from solver.jobs.build_studio_rig import draw_shapes
 from solver.mechanics.boundary import FreeJaw
 from solver.mechanics.flesh import IDENTITY
 from solver.meshio.colours import read_colours
@@ -177,6 +179,35 @@ def test_its_skin_wears_a_texture_with_seams(
     scan = read_colours(path, read_raw(path))
     assert scan is not None
     assert (scan.paint.images_of >= 0).sum() == len(own)
+
+
+def test_it_is_drawn_in_its_own_colours_which_say_how_good_they_are(
+    shapes: StudioShapes, texture: SkinTexture, tmp_path: Path
+) -> None:
+    red = np.zeros((8, 8, 3), np.uint8)
+    red[:, :, 0] = 220
+    path = tmp_path / "texture.png"
+    image = Texture(red, red[:, :, 0], texture.coordinates, {"ssim": 0.93})
+    image.write(path, tmp_path / "confidence.png")
+    worn = SkinTexture.read(texture.coordinates, len(MODEL.skin.faces), path)
+    assert worn.figures == {"ssim": 0.93}
+    rig = LightRig.of(MODEL, shapes, "joints")
+
+    def redness(texture: SkinTexture | None) -> float:
+        draw_shapes(MODEL, rig, texture, tmp_path / "studio.png")
+        with Image.open(tmp_path / "studio.png") as picture:
+            drawn = np.asarray(picture).astype(float)
+        return float((drawn[:, :, 0] - drawn[:, :, 1] > 100).mean())
+
+    assert redness(worn) > 0.1
+    assert redness(None) < 0.01
+    # painted over, with the words still on it
+    with Image.open(path) as before:
+        about = PngImagePlugin.PngInfo()
+        for key, text in before.text.items():
+            about.add_text(key, text)
+        before.convert("L").save(path, pnginfo=about)
+    assert SkinTexture.read(texture.coordinates, len(MODEL.skin.faces), path).figures == {}
 
 
 def test_its_skin_wears_a_normal_map_with_tangents(

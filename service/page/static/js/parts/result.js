@@ -17,6 +17,7 @@ import { doing } from "./toast.js";
 const PICTURES = {
   "check.png": "What the check saw",
   "distance.png": "How far the registered face lies from the scan",
+  "texture_views.png": "The textured skin beside the raw scan",
   "anatomy.png": "Skull and muscles inside the scan",
   "certificate.png": "The certificate of the fit",
   "neutral.png": "Photographs and the person that they were made into",
