@@ -104,7 +104,7 @@ def transfer(
     is_filmed = is_film(video)
     if is_filmed:
         played = output / SIGNALS_FILE
-        with JobDisplay("detect") as view:
+        with JobDisplay("transfer") as view:
             take = read_recording(video, Recording(**recording), played, _detecting(view))
         for notice in take.notices:
             if notice.code == "video.faces":  # others are of signals, and told when they are played
