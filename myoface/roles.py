@@ -26,4 +26,7 @@ OWN_FORMATS: Mapping[str, Role] = {
     ".png": "photo",
     ".mp4": "film",
     ".mov": "film",
+    ".webm": "film",
+    ".mkv": "film",
+    ".avi": "film",
 }

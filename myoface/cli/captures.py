@@ -82,7 +82,7 @@ def add(
         Option(
             "--asset",
             help="short for --role asset: a file that scenes name, a mesh, CSV, NPY, NPZ, OSIM "
-            "or a video (MP4, MOV)",
+            "or a video (MP4, MOV, WebM, MKV, AVI)",
         ),
     ] = False,
     registered: Annotated[

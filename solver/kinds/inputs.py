@@ -86,7 +86,11 @@ INPUTS: Mapping[str, Input] = {
             _named_files("photo", "NAME=FILE, a photograph, JPEG or PNG; repeatable"),
             _named_files("facts", "NAME=FILE, what is known of the photograph of this name, JSON"),
             _named_files("mask", "NAME=FILE, a PNG that is white where the photograph counts"),
-            _option("film", "MP4 or MOV, or a folder or ZIP of pictures", form="file or folder"),
+            _option(
+                "film",
+                "MP4, MOV, WebM, Matroska or AVI, or a folder or ZIP of pictures",
+                form="file or folder",
+            ),
         )
     ),
     "model": Input(
@@ -193,7 +197,7 @@ CLOUDS = (".xyz", ".pts", ".asc", ".csv", ".txt", ".xyzn", ".xyzrgb")
 PICTURES = (".jpg", ".jpeg", ".png")
 LANDMARKS = (".json", ".ljson", ".csv")
 MOST_PHOTOS = 16  # of one job
-FILMS = (".mp4", ".mov")
+FILMS = (".mp4", ".mov", ".webm", ".mkv", ".avi")  # all that solver.scans.film reads
 MOST_FILM_FRAMES = 2000  # of one job
 
 

@@ -1,4 +1,4 @@
-"""The pictures of a film: photographs in their order or a ZIP of them, or a file of MP4 or MOV.
+"""The pictures of a film: photographs in their order or a ZIP of them, or a film's file.
 
 Frames come one after the other and are never all in memory; to go back is to begin anew.
 """

@@ -1,10 +1,11 @@
-"""A video beside the rig that plays it: frames that differ most, as filmed and as drawn."""
+"""A video beside the rigs that play it: frames that differ most, as filmed and as drawn."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -22,7 +23,6 @@ from solver.rig.frames.animation import Filming, MotionRecord
 from solver.rig.painted_faces import PAINT, PaintedFaces
 from solver.scans.film import decode_film
 from solver.scans.live_link import read_live_link
-from solver.scans.recordings import SIGNALS_FILE
 from solver.scans.video import VIDEO, weights_of
 from solver.storage import read_arrays
 from solver.surface import Floats, Ints
@@ -42,42 +42,68 @@ class TransferSheetOptions:
 SHEET = TransferSheetOptions()
 
 
+@dataclass(frozen=True)
+class PlayedRig:
+    """A rig in the folder that ``animate`` left of it."""
+
+    name: str
+    folder: Path
+    model: SubjectModel
+
+
 def draw_transfer(
     path: Path,
     video: Path,
-    animation: Path,
-    model: SubjectModel,
+    signals: Path,
+    rigs: Sequence[PlayedRig],
     points: SkinPoints | None = None,
     start: int = 0,
     options: TransferSheetOptions = SHEET,
 ) -> None:
-    """Draw frames of a ``video`` over those of the folder that ``animate`` left of it.
+    """Draw frames of a ``video`` over the same ones of all ``rigs`` that play its ``signals``.
 
-    ``start`` is the recording's first frame that was played; brows and lips are painted where a
-    template's ``points`` are known. Where no frame that was played has a face, some are shown all
-    the same. Raises as :func:`~solver.rig.frames.read_chunks` (``simulate.frames``) and
+    The first rig's weights say which. ``start`` is the recording's first frame that was played;
+    brows and lips are painted where a template's ``points`` are known. Where no frame that was
+    played has a face, some are shown all the same. Raises as
+    :func:`~solver.rig.frames.read_chunks` (``simulate.frames``) and
     :func:`~solver.scans.film.decode_film`.
     """
-    frames = read_chunks(animation / FRAMES, MotionRecord, "simulate.frames", lambda _: True)
-    played = read_arrays(animation / "animation.npz", names=("weights", "seen"))
+    played = read_arrays(rigs[0].folder / "animation.npz", names=("weights", "seen"))
     seen = played["seen"]
-    with_face = np.flatnonzero(seen) if seen.any() else np.arange(len(frames))
+    with_face = np.flatnonzero(seen) if seen.any() else np.arange(len(seen))
     shown = most_different(played["weights"], with_face, options.shots)
-    measured = read_live_link(animation / SIGNALS_FILE).weights
-    numbers = (shown + start).tolist()
-    filmed = _cut_faces(video, {number: measured[number] for number in numbers}, options)
+    measured = read_live_link(signals).weights
+    filmed = _cut_faces(video, {n: measured[n] for n in (shown + start).tolist()}, options)
+    drawn = [_draw_rig(rig, shown.tolist(), points, options) for rig in rigs]
+    columns = []
+    for row, number in enumerate(shown.tolist()):
+        pictures = [each[row].picture for each in drawn]
+        columns.append(Column(f"{drawn[0][row].time:.2f} s", [filmed[number + start], *pictures]))
+    layout = SheetLayout(options.cell, MARGIN, options.across, foot=MARGIN)
+    below = "as the rig plays it" if len(rigs) == 1 else ", ".join(rig.name for rig in rigs)
+    detail = f"{len(seen)} frames; above as filmed, below {below}"
+    draw_sheet(path, "Transfer", detail, ("", *("" for _ in rigs)), columns, layout, scale_mm=None)
+
+
+class _Drawn(NamedTuple):
+    time: float  # s
+    picture: Pixels
+
+
+def _draw_rig(
+    rig: PlayedRig, shown: Sequence[int], points: SkinPoints | None, options: TransferSheetOptions
+) -> list[_Drawn]:
+    """Return pictures of the frames that are shown."""
+    frames = read_chunks(rig.folder / FRAMES, MotionRecord, "simulate.frames", lambda _: True)
+    model = rig.model
     face = Face(model)
     gaze = Gaze(model)
     draw = _drawing(model, points, options)
-    columns = []
-    for number in shown.tolist():
-        frame = frames[number]
+    drawn = []
+    for frame in (frames[number] for number in shown):
         whole = gaze.turn(face.whole_skin(model.rest + frame.moved, frame.jaw), frame.eyes)
-        drawn = draw(frame.into_world(whole))
-        columns.append(Column(f"{frame.time:.2f} s", [filmed[number + start], drawn]))
-    layout = SheetLayout(options.cell, MARGIN, options.across, foot=MARGIN)
-    detail = f"{len(frames)} frames; above as filmed, below as the rig plays it"
-    draw_sheet(path, "Transfer", detail, ("", ""), columns, layout, scale_mm=None)
+        drawn.append(_Drawn(frame.time, draw(frame.into_world(whole))))
+    return drawn
 
 
 def _drawing(

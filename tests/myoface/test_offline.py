@@ -145,5 +145,6 @@ def test_signals_are_played_again_without_their_video(rig: Path, tmp_path: Path)
     told = invoke(["transfer", str(signals), "--rig", str(rig), "-o", str(out), *shapes])
     assert told.exit_code == 0, told.output
     assert "3 frames played; in the whole recording 3 with a face" in " ".join(told.output.split())
+    assert "expressions are blended; --learn learns controls" in told.output
     assert signals.is_file()
     assert not (out / "transfer.png").exists()

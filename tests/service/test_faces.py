@@ -27,10 +27,14 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
         yield Session(studio)
 
 
+FILMS = {"talk.mp4": b"\0\0\0\x14ftypqt  ", "talk.webm": b"\x1a\x45\xdf\xa3"}
+
+
 @pytest.fixture
-def video(session: Session) -> Iterator[str]:
+def video(session: Session, request: pytest.FixtureRequest) -> Iterator[str]:
     """A video as an asset; there is no worker."""
-    upload = session.studio.upload("talk.mp4", b"\0\0\0\x14ftypqt  ")
+    name = getattr(request, "param", "talk.mp4")
+    upload = session.studio.upload(name, FILMS[name])
     path = f"/v1/subjects/{session.subject}/captures"
     made = session.studio.post(path, name="talk", role="asset", upload_id=upload)["id"]
     yield made
@@ -53,6 +57,7 @@ def answer(session: Session, video: str) -> tuple[int, str | None]:
     return told.status_code, told.json().get("code")
 
 
+@pytest.mark.parametrize("video", FILMS, indirect=True)
 def test_a_video_is_refused_where_no_worker_can_look_at_it(session: Session, video: str) -> None:
     assert answer(session, video) == (201, None)  # nobody lives: it waits
     hire(session, "short", [], queue="short")

@@ -98,14 +98,15 @@ def test_a_photograph_comes_with_what_is_known_of_it(studio: Studio) -> None:
 
 
 @pytest.mark.long
-def test_a_film_is_one_file_or_many_pictures(studio: Studio) -> None:
+@pytest.mark.parametrize("name", ["clip.MP4", "clip.webm"])
+def test_a_film_is_one_file_or_many_pictures(studio: Studio, name: str) -> None:
     subject = studio.post("/v1/subjects", name="Alex")["id"]
-    upload = studio.upload("clip.MP4", b"a film")
+    upload = studio.upload(name, b"a film")
     path = f"/v1/subjects/{subject}/captures"
     film = studio.post(path, name="clip", role="film", upload_id=upload)["id"]
     as_film: dict[str, Any] = {"options": {"sequence": True}}
     (file,) = _resolve(studio, NEUTRAL, subject, [film], **as_film).files
-    assert (file["role"], file["filename"]) == ("film", "clip.MP4")
+    assert (file["role"], file["filename"]) == ("film", name)
     pictures = [_photo(studio, subject, f"p{number:02d}", None) for number in range(17)]
     files = _resolve(studio, NEUTRAL, subject, pictures, **as_film).files
     assert [each["role"] for each in files] == 17 * ["photo"]

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
 from solver.animation.controls.doubt import Doubt, discrimination
 from solver.animation.controls.maps import (
@@ -103,6 +104,44 @@ def test_the_network_s_gradients_are_those_of_differences() -> None:
             below = cost()
             value[place] += 1e-6
             assert (above - below) / 2e-6 == pytest.approx(slope[place], abs=1e-7)
+
+
+def test_adam_comes_as_far_as_another_descent_on_the_same_loss() -> None:
+    """The oracle: SciPy's L-BFGS on all pairs at once, with a loss and derivatives of its own."""
+    width = 32
+    effort = NetworkOptions((width,), epochs=1000, rate=0.01, decay=0.01, on_linear=False)
+    noise = 0.1 * np.random.default_rng(5).normal(size=(len(WEIGHTS), 2))
+    goals = curved(WEIGHTS) + bent(WEIGHTS) + noise
+    inputs = WEIGHTS * SIZES.alone / SIZES.alone.mean()
+    unit = np.sqrt(np.mean(goals**2))
+    places = np.cumsum([3 * width, width])
+
+    def cost(values: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        matrix, shift, last = np.split(values, places)
+        matrix, last = matrix.reshape(3, width), last.reshape(width, 2)
+        before = inputs @ matrix + shift
+        lit = np.maximum(before, 0.0) - np.maximum(shift, 0.0)
+        off = lit @ last - goals / unit
+        slope = off / off.size
+        back = slope @ last.T * (before > 0.0)
+        at_rest = slope.sum(axis=0) @ last.T * (shift > 0.0)
+        slopes = inputs.T @ back, back.sum(axis=0) - at_rest, lit.T @ slope
+        parts = matrix, shift, last
+        decayed = [s + effort.decay / p.size * p for s, p in zip(slopes, parts, strict=True)]
+        loss = np.mean(off**2) + effort.decay * sum(np.mean(part**2) for part in parts)
+        return 0.5 * float(loss), np.concatenate([each.ravel() for each in decayed])
+
+    def descend(begin: NDArray[np.float64]) -> float:
+        return float(minimize(cost, begin, jac=True, method="L-BFGS-B").fun)
+
+    (matrix, shift), (last, _) = Network.learn(WEIGHTS, goals, SIZES, 2, effort).layers
+    found = np.concatenate([matrix.ravel(), shift, last.ravel() / unit]).astype(float)
+    ours = cost(found)[0]
+    begins = 0.5 * np.random.default_rng(0).normal(size=(2, len(found)))
+    assert ours < 1.05 * min(map(descend, begins))
+    assert ours < 1.05 * descend(found)
+    off = WEIGHTS @ np.linalg.lstsq(WEIGHTS, goals, rcond=None)[0] - goals
+    assert ours < 0.5 * 0.5 * np.mean(off**2) / unit**2  # more than a linear map can
 
 
 def test_a_network_learns_what_bends() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,10 +24,13 @@ from solver.fitting.face import Face, Pose
 from solver.jobs import animate, blendshapes, learn_controls, run_job
 from solver.kinds import FILES
 from solver.mechanics.flesh import IDENTITY
-from solver.rig import ExpressionFit, Rig
-from solver.scans.live_link import ARKIT_NAMES
+from solver.rig import ExpressionFit, Rig, transfer_sheet
+from solver.scans import recordings
+from solver.scans.live_link import ARKIT_NAMES, FaceTake, read_live_link
 from solver.storage import Archive
+from solver.templates.builtin import build
 from solver.templates.ict_facekit import arkit_source
+from tests.command_line import invoke
 from tests.solver.block import head_block, thinner
 from tests.solver.jobs.test_scenes import skins
 
@@ -198,6 +201,64 @@ def test_shapes_that_the_template_lacks_are_named(
     assert arkit_source(NAMES[1]) not in told["transfer"]["unseen_shapes"]
     (notice,) = told["notices"]
     assert (notice["code"], notice["found"]) == ("recording.shapes", [lacking])
+
+
+@pytest.mark.usefixtures("played")
+def test_a_video_is_looked_at_once_and_played_by_all_rigs(
+    rig: Path, learned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[Any] = []
+
+    def look(file: Path, face: int | None, **_: Any) -> FaceTake:
+        looked.append(face)
+        return replace(read_live_link(take(tmp_path / "seen.csv", FRAMES)), source="video")
+
+    def cut(_: Path, measured: Mapping[int, Any], options: Any) -> dict[int, Any]:
+        return {number: np.zeros((*options.cell[::-1], 3), np.float32) for number in measured}
+
+    monkeypatch.setattr(recordings, "read_video", look)
+    monkeypatch.setattr(transfer_sheet, "_cut_faces", cut)
+    without_points = SimpleNamespace(points=None)
+    monkeypatch.setattr(build, "builtin_template", lambda: without_points)
+    film = tmp_path / "talk.mp4"
+    film.write_bytes(b"\0\0\0\x14ftypqt  ")
+    other = tmp_path / "ben.npz"
+    replace(Rig.load({"rig": rig}), weights=thinner(MODEL.weights, 2)).save(other)
+    out = tmp_path / "out"
+    both = ["transfer", str(film), "--rig", str(other), "--rig", str(rig), "-o", str(out)]
+    controls = ["--controls", str(learned / "controls.npz")]
+    told = invoke([*both, *controls, "--face", "0"])
+    assert told.exit_code == 0, told.output
+    assert looked == [0]
+    assert "ben: expressions are blended; --learn learns controls" in told.output
+    heads = [line.split()[:3] for line in told.output.splitlines()[-3:-1]]
+    name = rig.parent.name
+    assert heads == [["ben", "4", "blended"], [name, "4", "learned"]]
+    ben, anna = (np.load(out / each / "animation.npz")["weights"] for each in ("ben", name))
+    np.testing.assert_allclose(ben, anna, atol=1e-6)
+    assert (out / "signals.csv").is_file()
+    assert (out / "transfer.png").is_file()
+    nobodys = ["--controls", str(learned / "controls.npz"), "--rig", str(other)]
+    refused = invoke(["transfer", str(film), *nobodys, "-o", str(tmp_path / "none")])
+    assert "controls.npz belongs to another rig" in refused.output
+
+
+@pytest.mark.usefixtures("played")
+def test_transfer_learns_controls_once(rig: Path, learned: Path, tmp_path: Path) -> None:
+    signals = take(tmp_path / "take.csv", FRAMES)
+    out = tmp_path / "out"
+    out.mkdir()
+    pairs = learned / "control_pairs.npz"
+    (out / pairs.name).write_bytes(pairs.read_bytes())  # of an attempt that was stopped
+    command = ["transfer", str(signals), "--rig", str(rig), "-o", str(out)]
+    told = invoke([*command, "--learn", "--max-seconds", "10"])
+    assert told.exit_code == 0, told.output
+    made = (out / "controls.npz").stat().st_mtime_ns
+    told = invoke([*command, "--learn"])  # they are in the folder
+    assert told.exit_code == 0, told.output
+    assert (out / "controls.npz").stat().st_mtime_ns == made
+    report = json.loads((out / "animation.json").read_text())
+    assert report["transfer"]["controls"] == "learned"
 
 
 @pytest.mark.usefixtures("played")

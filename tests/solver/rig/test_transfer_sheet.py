@@ -14,7 +14,7 @@ from PIL import Image
 from solver.registration.detector import DetectedFace
 from solver.rig import transfer_sheet
 from solver.rig.painted_faces import BROWS, PAINT, PaintedFaces
-from solver.rig.transfer_sheet import draw_transfer, face_with, most_different
+from solver.rig.transfer_sheet import PlayedRig, draw_transfer, face_with, most_different
 from solver.scans.live_link import FaceTake, write_signals
 from solver.scans.video import weights_of
 from solver.templates.builtin.build import builtin_template
@@ -69,10 +69,16 @@ def test_frames_without_a_face_are_shown_where_there_are_no_others(
 
     monkeypatch.setattr(transfer_sheet, "read_chunks", lambda *_: frames)
     monkeypatch.setattr(transfer_sheet, "_cut_faces", filmed)
-    draw_transfer(tmp_path / "sheet.png", tmp_path / "film.mp4", tmp_path, model)
-    assert shown
-    with Image.open(tmp_path / "sheet.png") as page:
-        assert page.width > 400  # one picture wide, and its heading is whole
+    signals = tmp_path / "signals.csv"
+    rigs = [PlayedRig("anna", tmp_path, model), PlayedRig("ben", tmp_path, model)]
+    heights = []
+    for played in (rigs[:1], rigs):
+        draw_transfer(tmp_path / "sheet.png", tmp_path / "film.mp4", signals, played)
+        assert shown
+        with Image.open(tmp_path / "sheet.png") as page:
+            assert page.width > 350  # one picture wide, and its heading is whole
+            heights.append(page.height)
+    assert heights[1] - heights[0] == transfer_sheet.SHEET.cell[1]  # a row of pictures more
 
 
 def test_brows_are_painted_where_they_are() -> None:

@@ -6,6 +6,7 @@ import socket
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
+from solver.kinds.inputs import FILMS
 from solver.kinds.scene_recording import Recording
 from solver.registration.detector import EYE_CORNERS, DetectedFace
 from solver.rig.frames.animation import write_video
@@ -174,6 +176,33 @@ def test_a_film_is_turned_upright_and_timed(tmp_path: Path) -> None:
     assert upright[0].pixels().shape == (96, 64, 3)
     assert turned[0].pixels().shape == (64, 96, 3)
     np.testing.assert_allclose([each.time for each in upright], np.arange(6) / 25.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("ending", FILMS)
+def test_films_of_all_endings_are_read_by_their_content(ending: str, tmp_path: Path) -> None:
+    """WebM as browsers record it: as it goes, without a duration, at uneven times."""
+    av = pytest.importorskip("av")
+    moments = [0, 31, 66, 99, 240]  # ms
+    path = tmp_path / f"film{ending}"
+    is_webm = ending == ".webm"
+    with av.open(str(path), "w", options={"live": "1"} if is_webm else {}) as film:
+        stream = film.add_stream("libvpx" if is_webm else "mpeg4", rate=25)
+        stream.width, stream.height = 64, 96
+        stream.pix_fmt = "yuv420p"
+        if is_webm:
+            stream.codec_context.time_base = Fraction(1, 1000)
+        for number, moment in enumerate(moments):
+            frame = av.VideoFrame.from_ndarray(np.full((96, 64, 3), 40 * number, np.uint8))
+            if is_webm:
+                frame.time_base = Fraction(1, 1000)
+                frame.pts = moment
+            film.mux(stream.encode(frame))
+        film.mux(stream.encode())
+    renamed = path.rename(tmp_path / "film")
+    assert is_film(renamed)
+    times = [each.time for each in decoded(renamed)]
+    expected = np.array(moments) / 1000 if is_webm else np.arange(len(moments)) / 25.0
+    np.testing.assert_allclose(np.array(times) - times[0], expected, atol=2e-3)
 
 
 def test_what_is_no_video_is_told_while_it_is_decoded(tmp_path: Path) -> None:
