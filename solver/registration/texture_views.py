@@ -19,7 +19,7 @@ from solver.registration.skin_images import wear
 from solver.registration.texture import Texture
 from solver.surface import Floats, Ints, Surface, faces_within
 
-UNKNOWN = 0.8  # grey of what is there and has no colour, as eyes have none
+UNKNOWN = 0.35  # grey of what is there and has no colour, as eyes have none
 Known = NDArray[np.bool_]
 
 
