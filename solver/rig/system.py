@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -19,8 +19,17 @@ from typing_extensions import override
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.model import SubjectModel
 from solver.rig.expression import ExpressionFit, expression_arrays, expressions_from
+from solver.similarity import small_motion
 from solver.storage import Arrays
 from solver.surface import Floats, Ints
+
+HEAD_FREEDOM = 6
+SAME_MM = 1e-3  # between a placed scan and the same in single precision
+
+
+def place_scan(scan: Floats, head: Floats) -> Floats:
+    """Return a scan (v, 3) in the axes of the skull that a ``head`` (6,) takes to it."""
+    return small_motion(head).inverse()(scan) if head.any() else scan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,12 +37,22 @@ class ShapeFit(ExpressionFit):
     """One expression, fitted by weights of K shapes and a jaw.
 
     Its ``activations`` are what the shapes ask of the muscles, its ``jaw`` is that of the shapes
-    with what is on top of it.
+    with what is on top of it. A ``head`` that was placed takes ``skin`` and ``target``, which are
+    in the skull's axes, to where the scan is.
     """
 
     weights: Floats  # (K,)
     jaw_on_top: Floats  # (5,) of the shapes', rad and mm
     lengths: Floats  # (m,) mm of the muscles' centre lines, zero where there is none
+    # (6,) rotation vector and shift, rad and mm; zero where the scan was taken as it lies
+    head: Floats = field(default_factory=lambda: np.zeros(HEAD_FREEDOM))
+
+    @override
+    def is_of(self, scan: Floats) -> bool:
+        if not self.head.any():
+            return super().is_of(scan)
+        back = place_scan(scan, self.head)
+        return np.allclose(self.target, back, rtol=0.0, atol=SAME_MM, equal_nan=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +124,7 @@ class ShapeSystem(System):
     def arrays(self, model: SubjectModel) -> Arrays:
         controls = {
             name: np.reshape([getattr(fit, name) for fit in self.expressions], (-1, size))
-            for name, size in _shape_controls(self.shapes, model).items()
+            for name, size in (*_shape_controls(self.shapes, model).items(), ("head", HEAD_FREEDOM))
         }
         return {**expression_arrays(self.expressions, model), **controls}
 
@@ -150,6 +169,9 @@ def read_system(
         controls = _shape_controls(shapes, model)
         for name, size in controls.items():
             _check_shape(data, name, len(fits), size)
+        if "head" in data:  # older files are of scans as they lie
+            _check_shape(data, "head", len(fits), HEAD_FREEDOM)
+            controls["head"] = HEAD_FREEDOM
         shaped = [
             ShapeFit(**vars(fit), **{name: data[name][k] for name in controls})
             for k, fit in enumerate(fits)
