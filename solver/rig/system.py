@@ -7,6 +7,7 @@ docs/reference/rig-format.md describes their arrays.
 
 from __future__ import annotations
 
+import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -46,6 +47,7 @@ class ShapeFit(ExpressionFit):
     lengths: Floats  # (m,) mm of the muscles' centre lines, zero where there is none
     # (6,) rotation vector and shift, rad and mm; zero where the scan was taken as it lies
     head: Floats = field(default_factory=lambda: np.zeros(HEAD_FREEDOM))
+    photos: tuple[str, ...] = ()  # it was fitted to: names of cameras in ``photo.npz``
 
     @override
     def is_of(self, scan: Floats) -> bool:
@@ -124,9 +126,16 @@ class ShapeSystem(System):
     def arrays(self, model: SubjectModel) -> Arrays:
         controls = {
             name: np.reshape([getattr(fit, name) for fit in self.expressions], (-1, size))
-            for name, size in (*_shape_controls(self.shapes, model).items(), ("head", HEAD_FREEDOM))
+            for name, size in _shape_controls(self.shapes, model).items()
         }
-        return {**expression_arrays(self.expressions, model), **controls}
+        heads = [fit.head for fit in self.expressions]
+        photos = [json.dumps(fit.photos) for fit in self.expressions]
+        return {
+            **expression_arrays(self.expressions, model),
+            **controls,
+            "head": np.reshape(heads, (-1, HEAD_FREEDOM)),
+            "photos": np.array(photos, dtype=np.str_),
+        }
 
 
 @dataclass(frozen=True)
@@ -169,11 +178,9 @@ def read_system(
         controls = _shape_controls(shapes, model)
         for name, size in controls.items():
             _check_shape(data, name, len(fits), size)
-        if "head" in data:  # older files are of scans as they lie
-            _check_shape(data, "head", len(fits), HEAD_FREEDOM)
-            controls["head"] = HEAD_FREEDOM
+        places = _places(data, len(fits))
         shaped = [
-            ShapeFit(**vars(fit), **{name: data[name][k] for name in controls})
+            ShapeFit(**vars(fit), **{name: data[name][k] for name in controls}, **places[k])
             for k, fit in enumerate(fits)
         ]
         return ShapeSystem(tuple(shaped), shapes)
@@ -185,6 +192,20 @@ def read_system(
     activations = data["tet_activations"].astype(np.float64)
     single = [TetFit(**vars(fit), tet_activations=activations[k]) for k, fit in enumerate(fits)]
     return TetSystem(tuple(single), tets)
+
+
+def _places(data: Arrays, count: int) -> list[dict[str, Any]]:
+    """Return head and photographs of each expression; older files have none of either."""
+    found: list[dict[str, Any]] = [{} for _ in range(count)]
+    if "head" in data:
+        _check_shape(data, "head", count, HEAD_FREEDOM)
+        for each, head in zip(found, data["head"], strict=True):
+            each["head"] = head
+    if "photos" in data:
+        _check_shape(data, "photos", count)
+        for each, names in zip(found, data["photos"], strict=True):
+            each["photos"] = tuple(json.loads(str(names)))
+    return found
 
 
 def _shape_controls(shapes: tuple[str, ...], model: SubjectModel) -> dict[str, int]:

@@ -19,7 +19,7 @@ from solver.jobs import run_job
 from solver.photo.archive import CAMERA
 from solver.photo.camera import PinholeCamera
 from solver.photo.mesh_points import landmark_points
-from solver.rig import Rig
+from solver.rig import Rig, ShapeFit
 from solver.rig.frames.read_back import read_glb
 from solver.similarity import weighted_motion
 from solver.storage import Archive
@@ -145,16 +145,18 @@ def check_kept(folder: Path, rig: Rig, told: dict[str, Any]) -> None:
     arrays = kept.arrays
     assert kept.header["expressions"] == {"smile": ["front", "left"], "rest": ["rest"]}
     assert kept.header["model_sha256"] == MODEL.sha256
-    row = kept.header["photos"].index("left")
+    smiling = next(each for each in rig.systems["T"].expressions if each.name == "smile")
+    assert isinstance(smiling, ShapeFit)
+    assert smiling.photos == ("front", "left")
+    row = kept.header["photos"].index(smiling.photos[1])
     seen_by = PinholeCamera(*(arrays[f"camera_{name}"][row] for name in CAMERA))
     figures = told["expressions"]["smile"]["photos"]["left"]
     np.testing.assert_allclose(seen_by.translation, figures["camera"]["translation"], atol=1e-3)
     assert not np.array_equal(seen_by.translation, figures["camera"]["translation"])
     own = arrays["landmark_photo"] == row
     points = landmark_points(builtin_template()).select(arrays["landmark_names"][own].tolist())
-    skin = next(each.skin for each in rig.systems["T"].expressions if each.name == "smile")
     fitted = arrays["landmark_px"][own] + arrays["landmark_residual_px"][own]
-    np.testing.assert_allclose(seen_by.project(points.at(skin))[:, :2], fitted, atol=0.01)
+    np.testing.assert_allclose(seen_by.project(points.at(smiling.skin))[:, :2], fitted, atol=0.01)
     assert arrays["landmark_weights"].shape == (len(own), 2)
     assert arrays["light"].shape == (3, 9, 3)
     assert arrays["albedo"].shape == (3, len(MODEL.face), 3) == (*arrays["albedo_seen"].shape, 3)
