@@ -246,7 +246,7 @@ def test_what_a_photograph_leaves_unexplained_is_told(files: Path, tmp_path: Pat
         facts = files / f"{name}.json"
         marks = json.loads(facts.read_text())["landmarks"]
         kept = dict([*marks.items()][-8:]) if name == "hidden" else marks
-        more = dict.fromkeys(extra, [130.0, 160.0])
+        more = {mark: [130.0, 160.0] for mark in extra}
         facts.write_text(json.dumps({"landmarks": kept | more}))
     _, told = fit(files, tmp_path, "front", "hidden", "aside", model="shapes")
     figures = {name: each["photos"][name] for name, each in told["expressions"].items()}
