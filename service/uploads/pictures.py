@@ -146,7 +146,7 @@ def _png_spans(content: mmap.mmap) -> Iterator[Span]:
         end = place + 8 + length
         if end + 4 > len(content):
             return
-        if kind not in CHUNKS and kind != EMPTY_CHUNK:
+        if kind not in CHUNKS:
             yield Span(place + 8, end, is_chunk=True, takes_exif=True)
         place = end + 4
         if kind == b"IEND":

@@ -59,7 +59,7 @@ def fit_scan(
     ids = face.face.model.face
     seen = SeenPoints(scan.vertices[ids], scan.confidence[ids])
     notices: tuple[Finding, ...] = ()
-    if not points.sees(seen):
+    if points.places_head and not points.sees(seen):
         message = "too little of the skin that lies still on the skull is seen to place the head"
         notices = (make_warning("target.no_head", message),)
         points = points.with_fixed_head()

@@ -64,6 +64,8 @@ def test_a_head_that_is_hardly_seen_stays(face: PlainFace) -> None:
     found = fit_scan(face, "half", moved, placed)
     assert [each.code for each in found.notices] == ["target.no_head"]
     assert not found.head.any()
+    seen[face.face.model.face] = np.arange(len(still)) < 5  # where a fixed one is nobody asks
+    assert fit_scan(face, "few", RegisteredScan(skin, seen), HeadAndFace()).notices == ()
 
 
 def test_heads_are_placed_for_weights_alone() -> None:
