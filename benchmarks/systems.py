@@ -35,6 +35,7 @@ from solver.anatomy.embedding import at_nearest
 from solver.fitting.face import Face
 from solver.fitting.objective import Target
 from solver.fitting.per_tet import PerTetOptions
+from solver.fitting.tracking.dense import HeadAndFace
 from solver.jobs.fits import JobPart, WarningLog, fit_unseen
 from solver.mechanics.flesh import LAWS
 from solver.mechanics.linear import fastest
@@ -158,7 +159,6 @@ class _Person:
 
     def _fits(self, part: str) -> Iterator[tuple[str, str, ExpressionFit]]:
         scans = self._scans(part)
-        targets = self._targets(scans)
         for system in self._options.systems:
             if system in WITHOUT_BASIS:
                 for fit in self._fits_without_basis(system, part):
@@ -169,7 +169,7 @@ class _Person:
                 if face is None or part == "left_out":
                     left_out = self._weights[name] if part == "left_out" else {}
                     face = self._face(system, left_out)
-                fit = fit_scan(face, name, scan, targets[name], self._fit_options)
+                fit = fit_scan(face, name, scan, HeadAndFace(), self._fit_options)
                 yield name, system, fit
 
     def _face(self, system: str, left_out: Mapping[str, float]) -> ShapeFace[Any]:
@@ -207,7 +207,6 @@ class _Person:
         chosen = [*(captures.train | captures.test).items()][:most]
         whole = np.ones(len(self._model.skin.vertices))
         scans = {name: RegisteredScan(skin.vertices, whole) for name, skin in chosen}
-        targets = self._targets(scans)
         systems: dict[str, System] = {}
         for letter in self._options.systems:
             if letter == "P":
@@ -215,7 +214,7 @@ class _Person:
             elif letter != "S":
                 face = self._face(letter, {})
                 fitted = [
-                    fit_scan(face, name, scan, targets[name], self._fit_options)
+                    fit_scan(face, name, scan, HeadAndFace(), self._fit_options)
                     for name, scan in scans.items()
                 ]
                 systems[letter] = ShapeSystem(tuple(fitted), face.tracks.names)

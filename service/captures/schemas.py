@@ -123,7 +123,10 @@ class RegistrationView(View):
 
 
 class CaptureView(View):
-    """A named scan of a subject; `landmarks` is the name of their file, `mask` that of one."""
+    """A named scan of a subject; `landmarks` is the name of their file, `mask` that of one.
+
+    `sha256` is that of the file as it was sent; of a photograph's bytes others are stored.
+    """
 
     id: str
     subject_id: str
@@ -151,6 +154,7 @@ class CaptureView(View):
             {
                 **{name: getattr(capture, name) for name in _COLUMNS},
                 "title": capture.title or PurePath(capture.filename).stem[:LONGEST_TITLE],
+                "sha256": capture.sent_sha256 or capture.sha256,
                 "landmarks": capture.landmarks_filename,
                 "mask": capture.mask_filename,
                 "check": check and _check(check),
@@ -169,7 +173,6 @@ _COLUMNS = (
     "labels",
     "filename",
     "size",
-    "sha256",
     "created_at",
 )
 

@@ -49,6 +49,7 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
         filename=upload.filename,
         size=upload.size,
         sha256=upload.sha256,
+        sent_sha256=upload.sent_sha256,
     )
     session.add(capture)
     session.flush()

@@ -17,7 +17,7 @@ LONGEST_NAME = 255
 
 
 class UploadView(View):
-    """An upload: bytes received so far (`offset`) of `size`."""
+    """An upload: bytes received so far (`offset`) of `size`; `sha256` is that of the bytes sent."""
 
     id: str
     filename: str
@@ -36,7 +36,7 @@ class UploadView(View):
             filename=upload.filename,
             size=upload.size,
             offset=upload.offset,
-            sha256=upload.sha256,
+            sha256=upload.sent_sha256 or upload.sha256,
             state="complete" if upload.complete else "open",
             created_at=upload.created_at,
             expires_at=upload.expires_at,

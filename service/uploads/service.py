@@ -12,6 +12,7 @@ import os
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 from typing import BinaryIO
@@ -30,6 +31,7 @@ from service.store.database import Store, clock
 from service.store.files import Blob
 from service.store.models import Upload, now
 from service.uploads import repository
+from service.uploads.pictures import without_metadata
 from service.uploads.schemas import Checksum
 from service.writers import Places
 
@@ -42,6 +44,14 @@ PART = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
 EVERY = 60.0
 
 log = structlog.get_logger()
+
+
+@dataclass(frozen=True)
+class _Stored:
+    """What is stored of an upload, and the digest of what was sent."""
+
+    blob: Blob
+    sent_sha256: str
 
 
 class UploadService:
@@ -209,29 +219,36 @@ class UploadService:
             upload.offset = offset
         return upload
 
-    def _put(self, upload: Upload) -> Blob | int:
-        """Store an upload's bytes; where some are missing, return how many there are."""
+    def _put(self, upload: Upload) -> _Stored | int:
+        """Store an upload's bytes; where some are missing, return how many there are.
+
+        Of photographs those bytes that tell more than the picture are zero.
+        """
         part = self._part(upload.id)
         with suppress(FileNotFoundError):
             if (found := part.stat().st_size) < upload.size:
                 return found
         try:
-            return self._store.files.put(part)
+            with without_metadata(part, upload.filename) as file:
+                blob = self._store.files.put(file)
+                sent = blob.sha256 if file == part else _digest_of(part)
+                return _Stored(blob, sent)
         except FileNotFoundError as error:
             # its row is gone too: the `UploadCleaner` removes no file that has one
             raise Problem(
                 410, "upload.expired", "the upload has expired", upload_id=upload.id
             ) from error
 
-    def _finish(self, upload: Upload, blob: Blob | int) -> Upload:
+    def _finish(self, upload: Upload, stored: _Stored | int) -> Upload:
         """Note what :meth:`_put` has found."""
-        if isinstance(blob, int):
-            return self._count(upload, blob)
+        if isinstance(stored, int):
+            return self._count(upload, stored)
         part = self._part(upload.id)
         with self._store.write() as session:
             upload = repository.get(session, upload.id)
-            if upload.sha256 in (None, blob.sha256):
-                upload.sha256 = blob.sha256
+            if upload.sha256 in (None, stored.sent_sha256):
+                upload.sha256 = stored.blob.sha256
+                upload.sent_sha256 = stored.sent_sha256
                 upload.complete = True
             else:
                 session.delete(upload)
@@ -243,7 +260,7 @@ class UploadService:
                 f"{upload.filename} does not have the sha256 it was announced with",
                 file=upload.filename,
                 expected=upload.sha256,
-                found=blob.sha256,
+                found=stored.sent_sha256,
             )
         return upload
 
@@ -266,6 +283,11 @@ class UploadService:
                     423, "upload.locked", "another request is writing", upload_id=upload_id
                 ) from error
             yield part
+
+
+def _digest_of(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _is_settled(upload: Upload) -> bool:

@@ -49,12 +49,19 @@ class TargetLimits:
 
 
 def before_fit(
-    model: SubjectModel, scans: Mapping[str, RegisteredScan], limits: TargetLimits = TargetLimits()
+    model: SubjectModel,
+    scans: Mapping[str, RegisteredScan],
+    limits: TargetLimits = TargetLimits(),
+    is_head_placed: bool = False,
 ) -> list[Finding]:
-    """Return what is odd about scans by name, each a registered scan of ``model``'s topology."""
+    """Return what is odd about scans by name, each a registered scan of ``model``'s topology.
+
+    A head may lie anywhere if the fit places it.
+    """
     found = [*_find_repeated(model, scans, limits), *_find_same_name(model, scans, limits)]
+    head = () if is_head_placed else (_check_head,)
     for name, scan in scans.items():
-        for check in (_check_coverage, _check_mouth, _check_head, _check_edges):
+        for check in (_check_coverage, _check_mouth, *head, _check_edges):
             found += check(model, name, scan, limits)
     return found
 

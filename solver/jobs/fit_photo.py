@@ -213,7 +213,9 @@ class _Fitter:
         told = tuple(find_contradiction(placed))
         shape = self._shape(name, found.fit.point.state, told)
         seconds = time.perf_counter() - begun
-        return _Fitted(replace(shape, seconds=seconds, iterations=found.steps), found, placed)
+        taken = tuple(photo.name for photo in photos)
+        shape = replace(shape, seconds=seconds, iterations=found.steps, photos=taken)
+        return _Fitted(shape, found, placed)
 
     def _shape(self, name: str, state: State, notices: tuple[Finding, ...]) -> ShapeFit:
         """Return an expression without a scan: its target is nowhere."""

@@ -15,6 +15,7 @@ from solver.fitting.face import Face
 from solver.fitting.least_squares import Listener
 from solver.fitting.objective import Target
 from solver.fitting.target_checks import before_fit, check_held
+from solver.fitting.tracking.dense import HeadAndFace, stillness
 from solver.jobs import Task, fits
 from solver.kinds.fit_tracks import FitTracks
 from solver.mechanics.linear import fastest
@@ -24,7 +25,7 @@ from solver.progress import Step, part_of
 from solver.rig import Rig, ShapeFit, ShapeSystem, System, TetSystem
 from solver.rig.report import known_information
 from solver.rig.report.systems import SYSTEMS
-from solver.rig.shape_fits import find_crossed, fit_scan
+from solver.rig.shape_fits import SCAN_HEAD, find_crossed, fit_scan
 from solver.rig.tet_fits import TetFitter
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackFace, track_potentials
@@ -51,12 +52,14 @@ def run(task: Task[FitTracks]) -> list[Path]:
     face = rig.face(linear)
     check_held(face)
     log = fits.WarningLog(model, progress)
-    log.warn(
-        0.02, [*before_fit(model, scans), *([] if given.muscles else _other_scans(rig, scans))]
-    )
+    odd = before_fit(model, scans, is_head_placed=given.head == "placed")
+    log.warn(0.02, [*odd, *([] if given.muscles else _other_scans(rig, scans))])
     parent = rig
     seconds = dict(rig.seconds)
-    targets = fits.Targets(model, given.distance).of_scans(scans)
+    made = fits.Targets(model, given.distance)
+    targets = made.of_scans(scans)
+    still = stillness(face) if given.head == "placed" else None
+    points = HeadAndFace(made.of_points, still, SCAN_HEAD)
     if given.muscles:
         begin = time.perf_counter()
         rig = _with_muscles(rig, face, scans, targets, log.branch())
@@ -71,7 +74,7 @@ def run(task: Task[FitTracks]) -> list[Path]:
     for number, letter in enumerate(parts):
         begin = time.perf_counter()
         span = fits.JobPart(0.2, 0.5).part(number, len(parts))
-        about = _Fitting(scans, targets, given, log.branch(), span)
+        about = _Fitting(scans, targets, points, given, log.branch(), span)
         found: System
         found = about.of_tets(model) if letter == "P" else about.of_shapes(faces[letter], letter)
         systems[letter] = systems[letter].replaced(found) if letter in systems else found
@@ -132,6 +135,7 @@ class _Fitting:
 
     scans: Mapping[str, RegisteredScan]
     targets: Mapping[str, Target]
+    points: HeadAndFace  # that makes targets for weights
     given: FitTracks
     log: fits.WarningLog
     span: fits.JobPart
@@ -143,7 +147,7 @@ class _Fitting:
         options = replace(options, stop=replace(options.stop, iterations=given.max_iterations))
 
         def fit(name: str, scan: RegisteredScan, listen: Listener) -> ShapeFit:
-            found = fit_scan(driven, name, scan, self.targets[name], options, listen)
+            found = fit_scan(driven, name, scan, self.points, options, listen)
             crossed = find_crossed(driven.face.model, found)
             return replace(found, notices=(*found.notices, *crossed))
 

@@ -5,9 +5,12 @@ lips that meet. The new rig is the parent with these expressions beside those of
 those of plain shapes and of single tets as well, if asked for; its report compares them.
 """
 
+from __future__ import annotations
+
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from solver.kinds.document import Whole
 from solver.kinds.kind import FitOptions, Kind, LinearSolver
@@ -34,6 +37,12 @@ class FitTracks(FitOptions):
         le=100,
         description="the same of the jaw on top of the shapes', by rad^2 and mm^2",
     )
+    head: Literal["fixed", "placed"] = Field(
+        default="fixed",
+        description="fixed, where the scan has it, which is where registration brings it; placed, "
+        "told from the face by the skin that lies still on the skull, so that a scan may lie "
+        "turned and shifted. Only for weights: muscles and single tets take scans as they lie",
+    )
     plain_shapes: bool = Field(
         default=False,
         description="fit plain blendshapes to the same scans, too: what tracks are compared with",
@@ -56,6 +65,13 @@ class FitTracks(FitOptions):
         "shapes; fits by muscles and by single tets have their own",
     )
     linear_solver: LinearSolver = None
+
+    @model_validator(mode="after")
+    def _places_heads_of_weights_alone(self) -> FitTracks:
+        if self.head == "placed" and (self.muscles or self.per_tet):
+            message = "has head: placed beside muscles or per_tet, which place no head"
+            raise PydanticCustomError("placed_head", message)
+        return self
 
 
 READS = ("rig", "captures", "tracks")

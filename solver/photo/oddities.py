@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_laplace
 from scipy.spatial import ConvexHull, QhullError
 
 from solver.anatomy.skin_points import SkinPoints
-from solver.errors import Finding, count_words, make_warning, quote_names
+from solver.errors import Finding, make_warning, quote_names
 from solver.photo.expression import CURVE_OPTIONS, CurveOptions, line_of
 from solver.photo.photo import Photo
 from solver.surface import Floats
@@ -43,6 +43,7 @@ class OddityOptions:
     black: float = 0.08  # sRGB of all channels; below it skin is underexposed
     exposed: float = 0.2  # share of the face that may be over- or underexposed
     open_eyes: float = 0.12  # height of the opening between the lids by its width
+    placed: float = 0.5  # share of the landmarks that the template has a place for, at least
 
 
 ODDITY_OPTIONS = OddityOptions()
@@ -76,26 +77,43 @@ def find_oddities(photo: Photo, options: OddityOptions = ODDITY_OPTIONS) -> Iter
             yield make_warning("photo.exposure", message, about)
 
 
-def find_left_out(
-    photo: Photo, points: SkinPoints, options: CurveOptions = CURVE_OPTIONS
-) -> Iterator[Finding]:
-    """Yield the notice ``photo.left_out`` about curves and landmarks that no skin is known for.
+@dataclass(frozen=True)
+class LeftOut:
+    """Curves and landmarks beside a photograph that no skin is known for, by their names."""
 
-    ``points`` are those that the template knows.
+    curves: tuple[str, ...]
+    landmarks: tuple[str, ...]
+
+    @classmethod
+    def of(cls, photo: Photo, points: SkinPoints, options: CurveOptions = CURVE_OPTIONS) -> LeftOut:
+        """Compare what is known of a photograph with the ``points`` that the template knows."""
+        curves = [name for name in photo.curves if line_of(name, points, options) is None]
+        marks = [name for name in photo.landmarks if not points.has(name)]
+        return cls(tuple(curves), tuple(marks))
+
+
+def find_left_out(
+    photo: Photo, points: SkinPoints, options: OddityOptions = ODDITY_OPTIONS
+) -> Iterator[Finding]:
+    """Yield the notice ``photo.left_out`` about curves, and landmarks where most are left out.
+
+    That some landmarks have no place is as it should be: a face mesh has more than a template
+    knows. ``points`` are those that the template knows.
     """
-    curves = [name for name in photo.curves if line_of(name, points, options) is None]
-    marks = [name for name in photo.landmarks if not points.has(name)]
-    if not curves and not marks:
+    left = LeftOut.of(photo, points)
+    count = len(photo.landmarks)
+    has_enough = count - len(left.landmarks) >= options.placed * count
+    marks = () if has_enough else left.landmarks
+    if not left.curves and not marks:
         return
-    parts = [f"the curve {name}" for name in curves]
+    parts = [f"the curve {name}" for name in left.curves]
     if marks:
-        words = count_words(len(marks), "landmark", "landmarks")
-        parts.append(f"{words} ({', '.join(quote_names(marks))})")
+        parts.append(f"{len(marks)} of {count} landmarks ({', '.join(quote_names(marks))})")
     message = (
         f"{photo.name}: left out, since the template does not know where on its skin they are: "
         f"{'; '.join(parts)}"
     )
-    about = {"file": photo.name, "curves": curves, "landmarks": marks}
+    about = {"file": photo.name, "curves": [*left.curves], "landmarks": [*marks]}
     yield make_warning("photo.left_out", message, about)
 
 

@@ -21,6 +21,7 @@ from solver.photo.camera import PinholeCamera
 from solver.photo.expression import PhotoExpression, marks_of
 from solver.photo.identity import IdentityFit
 from solver.photo.light import Appearance
+from solver.photo.oddities import LeftOut
 from solver.photo.other_person import JudgedPhotos
 from solver.photo.photo import Photo, square_around
 from solver.photo.placed import Reprojection
@@ -71,6 +72,7 @@ def camera_figures(
     photo: Photo, camera: PinholeCamera, skin: Floats, points: SkinPoints
 ) -> dict[str, Any]:
     """Return the figures of a photograph's camera and landmarks as JSON values."""
+    left = LeftOut.of(photo, points)
     known, given = marks_of(photo, points)
     away = np.linalg.norm(camera.project(known.at(skin))[:, :2] - given, axis=1)
     depth = float(np.median(camera.project(skin)[:, 2]))
@@ -88,6 +90,7 @@ def camera_figures(
         "camera_is_given": photo.camera is not None,
         "distance_mm": round(depth, 1),
         "landmarks": len(away),
+        "left_out": {"curves": [*left.curves], "landmarks": [*left.landmarks]},
         "landmarks_px": round(float(away.mean()), 3),
         "landmarks_mm": round(float(away.mean()) / px_per_mm, 3),
     }

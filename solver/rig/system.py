@@ -7,9 +7,10 @@ docs/reference/rig-format.md describes their arrays.
 
 from __future__ import annotations
 
+import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -19,8 +20,17 @@ from typing_extensions import override
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.model import SubjectModel
 from solver.rig.expression import ExpressionFit, expression_arrays, expressions_from
+from solver.similarity import small_motion
 from solver.storage import Arrays
 from solver.surface import Floats, Ints
+
+HEAD_FREEDOM = 6
+SAME_MM = 1e-3  # between a placed scan and the same in single precision
+
+
+def place_scan(scan: Floats, head: Floats) -> Floats:
+    """Return a scan (v, 3) in the axes of the skull that a ``head`` (6,) takes to it."""
+    return small_motion(head).inverse()(scan) if head.any() else scan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,12 +38,23 @@ class ShapeFit(ExpressionFit):
     """One expression, fitted by weights of K shapes and a jaw.
 
     Its ``activations`` are what the shapes ask of the muscles, its ``jaw`` is that of the shapes
-    with what is on top of it.
+    with what is on top of it. A ``head`` that was placed takes ``skin`` and ``target``, which are
+    in the skull's axes, to where the scan is.
     """
 
     weights: Floats  # (K,)
     jaw_on_top: Floats  # (5,) of the shapes', rad and mm
     lengths: Floats  # (m,) mm of the muscles' centre lines, zero where there is none
+    # (6,) rotation vector and shift, rad and mm; zero where the scan was taken as it lies
+    head: Floats = field(default_factory=lambda: np.zeros(HEAD_FREEDOM))
+    photos: tuple[str, ...] = ()  # it was fitted to: names of cameras in ``photo.npz``
+
+    @override
+    def is_of(self, scan: Floats) -> bool:
+        if not self.head.any():
+            return super().is_of(scan)
+        back = place_scan(scan, self.head)
+        return np.allclose(self.target, back, rtol=0.0, atol=SAME_MM, equal_nan=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +128,14 @@ class ShapeSystem(System):
             name: np.reshape([getattr(fit, name) for fit in self.expressions], (-1, size))
             for name, size in _shape_controls(self.shapes, model).items()
         }
-        return {**expression_arrays(self.expressions, model), **controls}
+        heads = [fit.head for fit in self.expressions]
+        photos = [json.dumps(fit.photos) for fit in self.expressions]
+        return {
+            **expression_arrays(self.expressions, model),
+            **controls,
+            "head": np.reshape(heads, (-1, HEAD_FREEDOM)),
+            "photos": np.array(photos, dtype=np.str_),
+        }
 
 
 @dataclass(frozen=True)
@@ -150,8 +178,9 @@ def read_system(
         controls = _shape_controls(shapes, model)
         for name, size in controls.items():
             _check_shape(data, name, len(fits), size)
+        places = _places(data, len(fits))
         shaped = [
-            ShapeFit(**vars(fit), **{name: data[name][k] for name in controls})
+            ShapeFit(**vars(fit), **{name: data[name][k] for name in controls}, **places[k])
             for k, fit in enumerate(fits)
         ]
         return ShapeSystem(tuple(shaped), shapes)
@@ -163,6 +192,20 @@ def read_system(
     activations = data["tet_activations"].astype(np.float64)
     single = [TetFit(**vars(fit), tet_activations=activations[k]) for k, fit in enumerate(fits)]
     return TetSystem(tuple(single), tets)
+
+
+def _places(data: Arrays, count: int) -> list[dict[str, Any]]:
+    """Return head and photographs of each expression; older files have none of either."""
+    found: list[dict[str, Any]] = [{} for _ in range(count)]
+    if "head" in data:
+        _check_shape(data, "head", count, HEAD_FREEDOM)
+        for each, head in zip(found, data["head"], strict=True):
+            each["head"] = head
+    if "photos" in data:
+        _check_shape(data, "photos", count)
+        for each, names in zip(found, data["photos"], strict=True):
+            each["photos"] = tuple(json.loads(str(names)))
+    return found
 
 
 def _shape_controls(shapes: tuple[str, ...], model: SubjectModel) -> dict[str, int]:

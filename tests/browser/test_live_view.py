@@ -157,6 +157,9 @@ def test_the_face_is_where_the_session_has_it(
     facts = page.locator(".live-facts").inner_text()
     assert "0.06 mm, 95 % within 0.21" in facts
     assert "4.5 ms, 95 % within 4.5" in facts
+    late = re.search(r"here after, at least\s+([\d.]+) ms, 95 % within ([\d.]+)", facts, re.I)
+    assert late is not None
+    assert 4.5 <= float(late[1]) <= float(late[2])
 
     expected = place.sample.neutral.vertices + np.tensordot(amounts, session.basis, 1)
     until(lambda: _pumped(page) and bool(np.allclose(_posed(page), expected, atol=CLOSE_MM)))
@@ -166,6 +169,31 @@ def test_the_face_is_where_the_session_has_it(
     page.get_by_role("tab", name="Expressions").click()
     page.get_by_role("button", name="Neutral").click()
     until(lambda: np.allclose(_posed(page), place.sample.neutral.vertices, atol=CLOSE_MM))
+
+
+WAYS = """async () => {
+    const { LiveFigures } = await import("/static/js/rig/live/figures.js");
+    const figures = new LiveFigures();
+    const frame = (number, seconds, more = {}) =>
+        ({ number, seconds, solveMs: 4, dropped: 0, hasOtherClock: false, ...more });
+    // captured every 10 ms; every tenth comes 30 ms later than the others
+    const late = (number) => 7000 + 10 * number + (number % 10 === 9 ? 30 : 0);
+    for (let number = 0; number < 100; number++)
+        figures.came(frame(number, number / 100), late(number));
+    const even = figures.now(8000).way;
+    figures.came(frame(100, 900, { hasOtherClock: true }), 8010);
+    const after = figures.now(8010).way;
+    return [even, after, figures.now(8010 + 5001).way];
+}"""
+
+
+def test_how_late_faces_are_is_told_whatever_the_stations_clock_says(
+    rig: Callable[..., Page],
+) -> None:
+    even, after, over = rig().evaluate(WAYS)
+    assert even == pytest.approx({"p50": 4.0, "p95": 34.0})
+    assert after == pytest.approx({"p50": 4.0, "p95": 4.0})
+    assert np.isnan(over["p50"])
 
 
 def test_a_take_is_recorded_and_named(rig: Callable[..., Page], session: Session) -> None:

@@ -51,6 +51,8 @@ class Upload(Owned, Base):
     """A resumable upload; ``offset`` bytes have been received and counted.
 
     ``used_by`` is the id of the capture or template that it was last used for, and goes with.
+    ``sent_sha256`` is that of the bytes as they came, once all have: of photographs others are
+    stored.
     """
 
     __tablename__ = "uploads"
@@ -59,6 +61,7 @@ class Upload(Owned, Base):
     size: Mapped[int] = mapped_column(BigInteger)
     offset: Mapped[int] = mapped_column(BigInteger, default=0)
     sha256: Mapped[str | None] = mapped_column(String(64), index=True)
+    sent_sha256: Mapped[str | None] = mapped_column(String(64))
     complete: Mapped[bool] = mapped_column(default=False)
     used_by: Mapped[str | None] = mapped_column(String(36), index=True)
     created_at: Mapped[datetime] = mapped_column(default=now)
@@ -88,7 +91,8 @@ class Subject(Labelled, Owned, Base):
 class Capture(Labelled, Stored, Owned, Base):
     """A named scan of a subject: registered, or raw as the scanner made it.
 
-    ``title`` is what people call it; null is what its file is called.
+    ``title`` is what people call it; null is what its file is called. ``sent_sha256`` is that of
+    the file as it was sent, null of those that were sent before it was kept.
     """
 
     __tablename__ = "captures"
@@ -107,6 +111,7 @@ class Capture(Labelled, Stored, Owned, Base):
     mask_filename: Mapped[str | None] = mapped_column(String(255))
     mask_size: Mapped[int | None] = mapped_column(BigInteger)
     mask_sha256: Mapped[str | None] = mapped_column(String(64), index=True)
+    sent_sha256: Mapped[str | None] = mapped_column(String(64))
     created_at: Mapped[datetime] = mapped_column(default=now)
 
     @property

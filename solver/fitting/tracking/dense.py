@@ -97,6 +97,15 @@ class HeadAndFace:
             )
             raise InputError("sequence.no_still_points", message)
 
+    @property
+    def places_head(self) -> bool:
+        """Return whether the head's motion is asked for."""
+        return self._still is not None
+
+    def with_fixed_head(self) -> HeadAndFace:
+        """Return the same points with the head where the neutral has it."""
+        return HeadAndFace(self.target, None, self.options)
+
     def sees(self, seen: SeenPoints) -> bool:
         """Return whether a frame shows enough of the face, and of the head if that moves."""
         if coverage_of(seen) < self.options.coverage:

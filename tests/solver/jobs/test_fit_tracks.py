@@ -17,15 +17,19 @@ from solver.fitting.face import Face
 from solver.fitting.least_squares import LeastSquaresSolution
 from solver.fitting.per_tet import tissue
 from solver.jobs import run_job
-from solver.meshio.registered import write_registered
+from solver.meshio.registered import read_registered, write_registered
 from solver.model import SubjectModel
-from solver.rig import Rig, TetSystem, shape_fits
+from solver.rig import Rig, ShapeFit, TetSystem, shape_fits
 from solver.rig.exporters import export_measured
+from solver.similarity import small_motion
 from solver.storage import read_container
 from solver.surface import Floats, Surface
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackFace, track_potentials
+from solver.tracks.plain import PlainFace
+from tests.fixtures import small_model
 from tests.solver.block import head_block
+from tests.solver.jobs.test_fit_photo import shapes as photo_shapes
 
 pytestmark = pytest.mark.long
 
@@ -193,6 +197,29 @@ def test_what_is_odd_about_a_scan_is_told_with_its_place(files: Path, tmp_path: 
     }
     assert "target.other" in codes["wide"]
     assert "target.turned" in codes["turned"]
+
+
+def test_a_turned_head_is_placed_and_kept(tmp_path: Path) -> None:
+    model = small_model()
+    tracks = MuscleTracks.of(model, photo_shapes())
+    tracks.save(tmp_path / "tracks.npz")
+    Rig(model, model.weights, ()).save(tmp_path / "rig.npz")
+    face = PlainFace(model, tracks)
+    skin = face.skin(face.move(face.rest(), tracks.controls({"mouthSmileLeft": 0.8})))
+    motion = small_motion(np.array([0.0, 0.0, np.deg2rad(8.0), 3.0, -1.0, 2.0]))
+    moved = model.skin.with_vertices(motion(skin))
+    write_registered(tmp_path / "smile.ply", moved, np.ones(len(skin)))
+    options = {"head": "placed", "plain_shapes": True}
+    rig, report = fit(tmp_path, tmp_path, "smile", rig=tmp_path / "rig.npz", options=options)
+    codes = {each["code"] for each in report["systems"]["smile"]["T"]["warnings"]}
+    assert "target.turned" not in codes
+    for system, apart in (("T", 0.1), ("B", 1e-3)):
+        (found,) = rig.systems[system].expressions
+        assert isinstance(found, ShapeFit)
+        np.testing.assert_allclose(found.head[:3], motion.twist[:3], atol=0.1 * apart)
+        np.testing.assert_allclose(motion(found.target), moved.vertices, atol=10.0 * apart)
+        scan = read_registered(tmp_path / "smile.ply", model.skin.faces, len(skin))
+        assert found.is_of(scan.vertices)
 
 
 def test_lips_of_a_scan_that_cross_are_told(

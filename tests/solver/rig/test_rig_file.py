@@ -69,7 +69,8 @@ def by_shapes(rig: Rig, name: str, weight: float) -> ShapeFit:
 
 
 def test_systems_come_back_and_a_rig_without_is_of_muscles_alone(rig: Rig, tmp_path: Path) -> None:
-    fits = by_shapes(rig, "smile", 0.25), by_shapes(rig, "kiss", 1.0)
+    placed = replace(by_shapes(rig, "kiss", 1.0), head=np.arange(6.0), photos=("a, left", "b"))
+    fits = by_shapes(rig, "smile", 0.25), placed
     system = ShapeSystem(fits, ("aside", "bulge"))
     replace(rig, systems={"T": system, "B": ShapeSystem((), ("aside",))}).save(tmp_path / "rig.npz")
     found = Rig.load(tmp_path / "rig.npz")
@@ -78,10 +79,18 @@ def test_systems_come_back_and_a_rig_without_is_of_muscles_alone(rig: Rig, tmp_p
     assert found.systems["T"].shapes == system.shapes
     for before, after in zip(fits, found.systems["T"].expressions, strict=True):
         assert before.name == after.name
-        for each in ("weights", "jaw_on_top", "lengths", "activations", "jaw", "x"):
+        for each in ("weights", "jaw_on_top", "lengths", "activations", "jaw", "x", "head"):
             np.testing.assert_array_equal(getattr(before, each), getattr(after, each))
-    # as rigs were before there were systems
+        assert before.photos == after.photos
+    # as rigs were before heads and photographs were kept, and before there were systems
     archive = Archive.read(tmp_path / "rig.npz", "rig", "a rig", FORMAT)
+    older = {"system_T_head", "system_T_photos", "system_B_head", "system_B_photos"}
+    assert older <= set(archive.arrays)
+    kept = {name: each for name, each in archive.arrays.items() if name not in older}
+    Archive(archive.header, kept).write(tmp_path / "scans.npz")
+    for after in Rig.load(tmp_path / "scans.npz").systems["T"].expressions:
+        assert isinstance(after, ShapeFit)
+        assert (after.head.tolist(), after.photos) == (6 * [0.0], ())
     header = {name: each for name, each in archive.header.items() if name != "systems"}
     kept = {name: each for name, each in archive.arrays.items() if not name.startswith("system_")}
     Archive(header, kept).write(tmp_path / "old.npz")

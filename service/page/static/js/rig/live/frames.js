@@ -4,6 +4,8 @@ const MAGIC = "MYF<";
 const HEADER = 36; // bytes
 const VERSION = 1;
 const HELD = 1;
+const RESUMED = 2;
+const GAP = 4; // the station's clock jumped
 
 /** Reads frames by the `layout` of the session's ready message. */
 export class FrameReader {
@@ -25,8 +27,10 @@ export class FrameReader {
       && [...MAGIC].every((letter, i) => view.getUint8(i) === letter.charCodeAt(0));
     if (!isFrame || view.getUint16(4, true) !== VERSION) throw new Error("not a frame of this session");
     const numbers = new Float32Array(buffer, HEADER, this.#size);
+    const flags = view.getUint16(6, true);
     return {
-      isHeld: (view.getUint16(6, true) & HELD) !== 0,
+      isHeld: (flags & HELD) !== 0,
+      hasOtherClock: (flags & (RESUMED | GAP)) !== 0,
       number: view.getUint32(8, true),
       seconds: view.getFloat64(12, true),
       solveMs: view.getFloat32(20, true),
