@@ -137,11 +137,11 @@ def register(
         code = "scan.size" if start.size.is_known else "scan.unit_unknown"
         told = [Finding(code, "info", message)]
     progress(Step("shape", 0.3))
-    lids = _Lids({})
+    lids = _Lids.none(topology.template.skin)
     if neutral is None:
         fit, schedule, lids = _fit_person(scan, start, topology, pins)
-        rest = lids.shut(topology.template.skin.vertices)
-        placed = lids.open(fit.vertices)
+        rest = topology.template.skin.vertices + lids.motion
+        placed = fit.vertices - lids.motion
     else:
         fit, schedule = _fit_expression(scan, start, topology, neutral, pins)
         rest = placed = neutral
@@ -158,8 +158,9 @@ def register(
         motion = motion.then(back)
     _check(raw.file, seen, topology)
     folded = folded_triangles(rest, skin.vertices, topology.flesh)
-    opened = skin.with_vertices(lids.open(skin.vertices))
-    seen = replace(seen, confidence=seen.confidence * lids.are_still(LIDS_STILL_MM))
+    opened = skin.with_vertices(skin.vertices - lids.motion)
+    is_still = np.linalg.norm(lids.motion, axis=1) < LIDS_STILL_MM
+    seen = replace(seen, confidence=seen.confidence * is_still)
     parts = scan, start, opened, skin, lids.weights, seen, motion, fit.weights, folded, told
     return RegisteredFace(*parts)
 
@@ -187,35 +188,26 @@ LIDS_STILL_MM = 0.5  # what moves further as lids are opened was not seen where 
 
 @dataclass(frozen=True)
 class _Lids:
-    """Lids that a scan has shut: by side the template's displacements (n, 3), and their weight."""
+    """Lids that a scan has shut, side -> weight, and the ``motion`` (n, 3) that shuts them."""
 
-    shapes: Mapping[str, tuple[NDArray[np.floating], float]]
+    weights: Mapping[str, float]
+    motion: Floats
+
+    @classmethod
+    def none(cls, skin: Surface) -> _Lids:
+        """Return those of a scan with open eyes."""
+        return cls({}, np.zeros_like(skin.vertices))
 
     @classmethod
     def of(cls, basis: ShapeBasis, weights: Floats) -> _Lids:
         """Return those that are shut of the last ``weights``, which are those of all lids."""
-        every = lid_shapes(basis).items()
-        found = zip(every, weights[len(basis.identity) :].tolist(), strict=True)
-        return cls({side: (shape, weight) for (side, shape), weight in found if weight >= SHUT})
-
-    @property
-    def weights(self) -> dict[str, float]:
-        return {side: weight for side, (_, weight) in self.shapes.items()}
-
-    def shut(self, skin: Floats) -> Floats:
-        """Return a skin (n, 3) with these lids shut."""
-        return skin + sum(weight * shape for shape, weight in self.shapes.values())
-
-    def open(self, skin: Floats) -> Floats:
-        """Return a skin (n, 3) whose lids are shut with them opened."""
-        return skin - sum(weight * shape for shape, weight in self.shapes.values())
-
-    def are_still(self, limit_mm: float) -> NDArray[np.bool_] | float:
-        """Tell of every vertex (n,) whether it moves by less; 1 of all where none is shut."""
-        if not self.shapes:
-            return 1.0
-        moved = sum(weight * shape for shape, weight in self.shapes.values())
-        return np.asarray(np.linalg.norm(moved, axis=-1) < limit_mm)
+        shapes = lid_shapes(basis)
+        every = zip(shapes, weights[len(basis.identity) :].tolist(), strict=True)
+        shut = {side: weight for side, weight in every if weight >= SHUT}
+        motion = np.zeros(basis.identity.shape[1:])
+        for side, weight in shut.items():
+            motion += weight * shapes[side]
+        return cls(shut, motion)
 
 
 def _fit_person(
@@ -237,10 +229,10 @@ def _fit_person(
     normals = vertex_normals(rest)[face]
     motion = align(scan, start.motion, rest.vertices[face], normals, sizes=True)
     if not start.size.is_known:  # the scan takes the template's size
-        return TemplateFit(np.zeros(0), rest.vertices, motion), FROM_AFAR, _Lids({})
+        return TemplateFit(np.zeros(0), rest.vertices, motion), FROM_AFAR, _Lids.none(rest)
     resize = replace(IDENTITY, scale=start.motion.scale / motion.scale)
     sized = TemplateFit(np.zeros(0), resize(rest.vertices), motion.then(resize))
-    return sized, FROM_AFAR, _Lids({})
+    return sized, FROM_AFAR, _Lids.none(rest)
 
 
 def _fit_expression(
