@@ -40,13 +40,15 @@ from solver.surface import Floats, Ints
 class LinearisedOptions:
     """The cuts, and when a step by them is good for nothing."""
 
-    rounds: int = 20  # in which bounds are cut off
+    rounds: int = 10  # in which bounds are cut off
     broken: float = 1e-9  # margin below 0 from which a linear bound counts as broken ...
     outside: float = 1e-5  # ... and the bound itself, which is cut off then
     ridge: float = 1e-8  # relative, as the bounds of a muscle may depend on each other
     clearance: float = 1.02  # distance to bounds that a step keeps, by that which clipping keeps
     parts: tuple[float, ...] = (1.0, 0.5, 0.25)  # of a step, tried one after the other ...
     worth: float = 0.3  # ... until one keeps such a part of its gain, brought inside
+    # promised gain, by that of the step without bounds, that no other method is tried for either
+    idle: float = 1e-4
 
 
 @dataclass(frozen=True)
@@ -229,6 +231,7 @@ def linearised_step(
     free = -scipy.linalg.cho_solve((root, True), gradient, check_finite=False)
     if not np.isfinite(free).all():
         raise SolveError("solve.not_finite", "no Gauss-Newton step: it is not finite")
+    unbounded = gradient
     begin = q
     entered = np.zeros_like(q)
     if not bounds.contains(q):
@@ -248,6 +251,8 @@ def linearised_step(
         inside = bounds.clip(begin + part * step) - begin
         if _gain(inside, root, gradient) >= least:
             return LinearisedStep(entered + inside, root, active, options.ridge)
+    if promised <= options.idle * _gain(free, root, unbounded):
+        return LinearisedStep(entered, root, active, options.ridge)
     return None
 
 
