@@ -57,7 +57,7 @@ XMP_ORIENTATION = re.compile(rb"tiff:Orientation(?:=\"|>)([1-8])")
 
 
 @dataclass(frozen=True)
-class Span:
+class Surplus:
     """A part of a file that is to be emptied: its content, and what a PNG's chunk has around."""
 
     start: int
@@ -115,7 +115,7 @@ def _clean(content: mmap.mmap) -> bool:
     return is_changed
 
 
-def _jpeg_spans(content: mmap.mmap) -> Iterator[Span]:
+def _jpeg_spans(content: mmap.mmap) -> Iterator[Surplus]:
     place = 2
     for _ in range(MOST_PARTS):
         if (found := MARKER.search(content, place)) is None:
@@ -123,11 +123,11 @@ def _jpeg_spans(content: mmap.mmap) -> Iterator[Span]:
         marker = content[found.start() + 1]
         place = found.end()
         if marker == END_OF_IMAGE:
-            yield Span(place, len(content))
+            yield Surplus(place, len(content))
             return
         length = int.from_bytes(content[place : place + 2], "big")
         end = min(place + max(length, 2), len(content))
-        inner = Span(place + 2, end, takes_exif=marker == APP1)
+        inner = Surplus(place + 2, end, takes_exif=marker == APP1)
         place += length
         if APP0 <= marker <= APP15:
             needed = NEEDED.get(marker)
@@ -137,7 +137,7 @@ def _jpeg_spans(content: mmap.mmap) -> Iterator[Span]:
             yield inner
 
 
-def _png_spans(content: mmap.mmap) -> Iterator[Span]:
+def _png_spans(content: mmap.mmap) -> Iterator[Surplus]:
     place = len(PNG)
     for _ in range(MOST_PARTS):
         if place + 12 > len(content):
@@ -147,14 +147,14 @@ def _png_spans(content: mmap.mmap) -> Iterator[Span]:
         if end + 4 > len(content):
             return
         if kind not in CHUNKS:
-            yield Span(place + 8, end, is_chunk=True, takes_exif=True)
+            yield Surplus(place + 8, end, is_chunk=True, takes_exif=True)
         place = end + 4
         if kind == b"IEND":
-            yield Span(place, len(content))
+            yield Surplus(place, len(content))
             return
 
 
-def _empty(content: mmap.mmap, span: Span, head: bytes) -> bool:
+def _empty(content: mmap.mmap, span: Surplus, head: bytes) -> bool:
     """Put ``head`` and zeros into a span; returns whether that changes it."""
     is_changed = False
     place = span.start
@@ -175,7 +175,7 @@ def _empty(content: mmap.mmap, span: Span, head: bytes) -> bool:
     return is_changed
 
 
-def _kept_exif(content: mmap.mmap, spans: list[Span], lead: bytes) -> bytes:
+def _kept_exif(content: mmap.mmap, spans: list[Surplus], lead: bytes) -> bytes:
     """Return EXIF, after ``lead``, with the tags of a picture that are kept; empty without any."""
     likely = [span for span in spans if span.takes_exif]
     order = b"II"
@@ -195,7 +195,7 @@ def _kept_exif(content: mmap.mmap, spans: list[Span], lead: bytes) -> bytes:
     return lead + _write_tags(order, tags) if tags else b""
 
 
-def _kind(content: mmap.mmap, span: Span) -> bytes:
+def _kind(content: mmap.mmap, span: Surplus) -> bytes:
     return content[span.start - 4 : span.start] if span.is_chunk else b""
 
 
