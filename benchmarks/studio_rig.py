@@ -41,6 +41,7 @@ from benchmarks.muscle_actions import has_lids, lid_gap
 from benchmarks.stereo_views import measure_stereo
 from benchmarks.texture_views import measure_texture
 from myoface.demo.outcome import khronos_validation
+from solver.anatomy.action_units import SIDES
 from solver.anatomy.template import CORRECTED, ShapeBasis
 from solver.animation import RecordedDrives
 from solver.animation.blendshapes import (
@@ -51,7 +52,7 @@ from solver.animation.blendshapes import (
     solve_blendshapes,
 )
 from solver.animation.controls import Controls
-from solver.animation.lids import SIDES, Lids
+from solver.animation.lids import Lids
 from solver.cache import cache_directory
 from solver.jobs.build_studio_rig import LEVELS, tell_level
 from solver.jobs.scenes import play, skin_of

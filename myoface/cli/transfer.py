@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, count
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 PICTURE = "transfer.png"
 RIG = INPUTS["rig"].parts[0].words
 LEARNING_S = KINDS["learn_controls"].schema["properties"]["max_seconds"]
-TOLD_EVERY = 30  # frames of a video
 _FILE: dict[str, Any] = {"exists": True, "dir_okay": False}
 
 
@@ -85,7 +84,7 @@ def transfer(
     from solver.kinds.scene_recording import Recording
     from solver.rig.transfer_sheet import PlayedRig, draw_transfer
     from solver.scans.film import is_film
-    from solver.scans.recordings import SIGNALS_FILE, read_recording
+    from solver.scans.recordings import SIGNALS_FILE, read_recording, tell_detection
     from solver.templates.builtin.build import builtin_template
 
     of_one = {"blendshapes": blendshapes, "expression_basis": basis}
@@ -105,7 +104,7 @@ def transfer(
     if is_filmed:
         played = output / SIGNALS_FILE
         with JobDisplay("transfer") as view:
-            take = read_recording(video, Recording(**recording), played, _detecting(view))
+            take = read_recording(video, Recording(**recording), played, tell_detection(view, 0.0))
         for notice in take.notices:
             if notice.code == "video.faces":  # others are of signals, and told when they are played
                 out.print(f"warning: {notice.message}")
@@ -242,17 +241,6 @@ def _animate(
         )
     report: dict[str, Any] = json.loads((person.folder / "animation.json").read_text("utf-8"))
     return report
-
-
-def _detecting(view: JobDisplay) -> Callable[[int], None]:
-    """Return what shows now and then how many frames of a video were looked at."""
-    from solver.progress import Step
-
-    def listen(done: int) -> None:
-        if done % TOLD_EVERY == 0:
-            view(Step("detect", 0.0, done, message=f"frame {done}"))
-
-    return listen
 
 
 def _show_reports(people: Sequence[_Person], reports: Sequence[Mapping[str, Any]]) -> None:

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from solver.anatomy.action_units import SIDES
 from solver.anatomy.template import ShapeBasis
 from solver.animation import RecordedDrives
 from solver.contact.obstacles import Eyeball
 from solver.contact.one_sided import free_depths
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
-
-SIDES = ("left", "right")
 
 
 @dataclass(frozen=True)

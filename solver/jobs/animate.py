@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from solver.neck.body import import_mujoco
 from solver.progress import ProgressCallback, Step, part_of
 from solver.rig import Rig
 from solver.scans.live_link import ARKIT_NAMES, FaceTake
-from solver.scans.recordings import SIGNALS_FILE, read_recording
+from solver.scans.recordings import SIGNALS_FILE, read_recording, tell_detection
 from solver.scene import Stage
 from solver.scene.document import head_of, without_neck_muscles
 from solver.scene.places import Places
@@ -37,7 +37,6 @@ from solver.templates.ict_facekit import arkit_source
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackContact
 
-TOLD_EVERY = 30  # frames of a video
 TOLD_ABOVE = 0.1  # change of a weight without a shape that is worth a notice
 
 
@@ -64,7 +63,7 @@ def run(task: Task[Animate]) -> list[Path]:
     live = LiveOff(task, rig, asset, -recording.start)
     if asset.resolve() != signals.resolve():
         signals.unlink(missing_ok=True)  # of another scene
-    recorded = read_recording(asset, recording, signals, _detecting(task))
+    recorded = read_recording(asset, recording, signals, tell_detection(progress, READ))
     for notice in recorded.notices:
         progress(Step("warning", READ, message=notice.message))
 
@@ -162,16 +161,6 @@ def _lids_of(task: Task[Animate], rig: Rig, drives: RecordedDrives) -> PlayedLid
     message = "lids stay where muscles leave them: the template has no shapes of this skin"
     task.progress(Step("warning", READ, message=message))
     return None
-
-
-def _detecting(task: Task[Animate]) -> Callable[[int], None]:
-    """Return what tells now and then how many frames of a video were looked at."""
-
-    def listen(done: int) -> None:
-        if done % TOLD_EVERY == 0:
-            task.progress(Step("detect", READ, done, message=f"frame {done}"))
-
-    return listen
 
 
 def _told_of(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from solver.errors import InputError
 from solver.kinds.scene_recording import Recording
+from solver.progress import ProgressCallback, Step
 from solver.scans.film import is_film
 from solver.scans.live_link import FaceTake, read_live_link, write_signals
 from solver.scans.openface import is_openface, read_openface
@@ -15,6 +16,20 @@ from solver.scans.video import read_video
 
 SIGNALS_FILE = "signals.csv"  # what is measured of a video, beside what is made of it
 NAMES = {"live_link": "Live Link Face", "video": "a video"}
+TOLD_EVERY = 30  # frames of a video
+
+
+def tell_detection(progress: ProgressCallback, done: float) -> Callable[[int], None]:
+    """Return what tells now and then how many frames of a video were looked at.
+
+    ``done`` is the part of the work that lies before.
+    """
+
+    def listen(frames: int) -> None:
+        if frames % TOLD_EVERY == 0:
+            progress(Step("detect", done, frames, message=f"frame {frames}"))
+
+    return listen
 
 
 def read_recording(

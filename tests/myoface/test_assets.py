@@ -253,13 +253,17 @@ def test_nothing_is_fetched_without_the_licence(
     assert (tmp_path / "to" / "asset.zip").read_bytes() == shelf.content
 
 
+def landmarker_on(shelf: Shelf) -> PublicAsset:
+    """Return the landmarker as the shelf has it, its file being the mesh."""
+    asset = replace(CATALOGUE["landmarker"], members={"mesh.obj": None}, unpacked="mesh.obj")
+    known = {"size": len(shelf.content), "sha256": hashlib.sha256(shelf.content).hexdigest()}
+    return replace(asset, url=shelf.url, file="asset.zip", **known)  # type: ignore[arg-type]
+
+
 def test_a_file_that_programs_read_is_laid_beside_its_archive(
     shelf: Shelf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asset = replace(CATALOGUE["landmarker"], members={"mesh.obj": None}, unpacked="mesh.obj")
-    known = {"size": len(shelf.content), "sha256": hashlib.sha256(shelf.content).hexdigest()}
-    shown = replace(asset, url=shelf.url, file="asset.zip", **known)  # type: ignore[arg-type]
-    monkeypatch.setitem(CATALOGUE, "landmarker", shown)
+    monkeypatch.setitem(CATALOGUE, "landmarker", landmarker_on(shelf))
     command = ["assets", "fetch", "landmarker", "--to", str(tmp_path / "to"), "--accept-licence"]
     told = invoke(command)
     assert told.exit_code == 0, told.output
@@ -275,10 +279,7 @@ def test_the_landmarker_is_found_where_it_is_fetched_to(
     shelf: Shelf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A solver process finds it, too: its cache folder links the files of the installation's."""
-    asset = replace(CATALOGUE["landmarker"], members={"mesh.obj": None}, unpacked="mesh.obj")
-    known = {"size": len(shelf.content), "sha256": hashlib.sha256(shelf.content).hexdigest()}
-    shown = replace(asset, url=shelf.url, file="asset.zip", **known)  # type: ignore[arg-type]
-    monkeypatch.setitem(CATALOGUE, "landmarker", shown)
+    monkeypatch.setitem(CATALOGUE, "landmarker", landmarker_on(shelf))
     monkeypatch.setattr(landmarker, "FILE", "mesh.obj")
     monkeypatch.delenv(landmarker.VARIABLE, raising=False)
     monkeypatch.setenv("MYOFACE_CACHE", str(tmp_path / "cache"))

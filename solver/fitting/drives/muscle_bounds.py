@@ -16,6 +16,7 @@ import math
 import numba as nb
 import numpy as np
 
+from solver.fitting.stretches import FROBENIUS
 from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.linalg3 import SYM_COLUMN, SYM_ROW, symmetric_eigen
 from solver.surface import Floats
@@ -115,10 +116,9 @@ def _slopes(along: Floats, values: Floats, axes: Floats, out: Floats) -> None:
     for q in range(6):
         i = SYM_ROW[q]
         j = SYM_COLUMN[q]
-        twice = 1.0 if i == j else 2.0  # such an entry stands for two of the matrix
         size = 0.0
         for k in range(3):
-            outer = twice * axes[i, k] * axes[j, k]
+            outer = FROBENIUS[q] * axes[i, k] * axes[j, k]
             out[1 + k, q] = outer
             out[4 + k, q] = -outer
             size += outer / values[k]
@@ -148,13 +148,11 @@ def _project(
     """Move one muscle's a (6,) onto its bound along the fibres, and then onto those of S(a)."""
     square = 0.0
     for k in range(6):
-        twice = 1.0 if SYM_ROW[k] == SYM_COLUMN[k] else 2.0
-        square += along[k] * along[k] / twice
+        square += along[k] * along[k] / FROBENIUS[k]
     over = _fibre(a, along) - (limits[0] - further * least[0])
     if over > 0.0 and square > 0.0:
         for k in range(6):
-            twice = 1.0 if SYM_ROW[k] == SYM_COLUMN[k] else 2.0
-            a[k] -= over / square * along[k] / twice
+            a[k] -= over / square * along[k] / FROBENIUS[k]
     _decompose(a, values, axes)
     size = 0.0
     for k in range(3):
